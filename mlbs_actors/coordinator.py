@@ -7,7 +7,7 @@ Differs from the paper: the first frames, whose motion cannot be known yet, are 
 backwards along their trajectories once the first clustering is done, so that every frame gets its label
 map; with ``lookahead`` every frame waits for later ones in the same way. Frames of another size, and the
 first picture after a cut, begin a new *epoch*: what was held comes out, and all starts anew but the count of
-frames and of layer ids.
+frames and of layer ids. If the scene is one that was left shortly before, its objects count as lost ones.
 
 Nor does the paper know frames that show nothing of the scene (:mod:`mlbs_actors.footage`). They are passed
 over: they carry the labels of the last picture, and the next picture is compared with that one. A frame in
@@ -28,6 +28,7 @@ from mlbs_actors.cells import cell_side
 from mlbs_actors.clustering.affinity import displacement_spread
 from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.clustering.layer_registry import LayerRegistry
+from mlbs_actors.clustering.left_scenes import LeftScene, moved_registry
 from mlbs_actors.clustering.registry_state import RegistryState
 from mlbs_actors.clustering.rigid_scene import Places
 from mlbs_actors.config import Config, length_scale
@@ -71,6 +72,8 @@ __all__ = ["Coordinator"]
 LASTING_LIGHT = 3
 #: After so many frames in which the last picture is not found, the scene is taken for another one.
 LONGEST_LOSS = 5
+#: So many scenes that were left are remembered.
+MOST_SCENES = 3
 #: An object rests if less than this share of its trajectories has evidence of motion.
 RESTING = 0.5
 
@@ -93,6 +96,8 @@ class _Match:
     astray : (rows,) float32
     told : bool
         Whether it tells the camera's motion.
+    whole : bool
+        Whether the last picture goes on nearly everywhere.
     """
 
     status: FrameStatus
@@ -102,6 +107,7 @@ class _Match:
     gray: Array
     astray: Array
     told: bool
+    whole: bool
 
 
 class Coordinator:
@@ -144,6 +150,7 @@ class Coordinator:
         """Return a superset of the layers that frames to come, or held ones, may have."""
         state = self.state
         labels = [state.registry.labels, state.labels, *(one.labels for one in state.held)]
+        labels += [one.registry.labels for one in state.left]
         return {state.registry.other, *(layer for one in labels for layer in np.unique(one).tolist())}
 
     def _emitted(self, frame_index: int) -> bool:
@@ -199,6 +206,8 @@ class Coordinator:
             picture = picture_of(frame, side, self.flow is not None or self.tracks is not None)
         self.state.shape = shape
         self.state.next_frame = frame_index + 1
+        oldest = frame_index - self.config.layers.dormant_frames
+        self.state.left = tuple(one for one in self.state.left if one.last_frame >= oldest)
         if concealed:
             return self._pass_over(frame_index, "damaged", feedback)
         if is_blank(picture.gray, self.state.picture.gray):
@@ -248,11 +257,29 @@ class Coordinator:
 
     def _begin_scene(self, first: NewFrame) -> list[FrameEvidence]:
         """End the epoch; return what was held of it. Another one begins with a frame."""
-        next_frame, shape = self.state.next_frame, self.state.shape
         ended = self.flush()
+        before = self.state
         self._begin_epoch(first.frame_index)
-        self.state.next_frame, self.state.shape, self.state.cut = next_frame, shape, True
+        state = self.state
+        state.next_frame, state.shape, state.cut = before.next_frame, before.shape, True
+        state.left = before.left
+        if (before.registry.labels > BACKGROUND).any():
+            left = LeftScene(before.view, first.frame_index - 1, before.registry)
+            state.left = (left, *before.left[: MOST_SCENES - 1])
         return ended
+
+    def _recall(self, picture: Picture) -> None:
+        """If the picture is one of a scene that was left, take its objects for lost ones of this scene."""
+        state, config = self.state, self.config
+        assert state.shape is not None
+        side = cell_side(state.shape, config.grid.cell_px)
+        for scene in state.left:
+            flow = estimate_flow(scene.view, picture, side, config, None, self.flow)
+            if found_again(flow, scene.view.gray, picture.gray) >= LEAST_FOUND:
+                lost = moved_registry(scene, flow)
+                if lost is not None:
+                    state.registry = state.registry.with_lost(lost)
+                    state.left = tuple(one for one in state.left if one is not scene)
 
     def _take_or_pass_over(
         self, new: NewFrame, feedback: Callable[[], Segmentation] | None, stage_ms: dict[str, float]
@@ -274,7 +301,7 @@ class Coordinator:
         side = cell_side(state.shape, config.grid.cell_px)
         flow, light, gray = None, unchanged(), state.picture.gray
         status: FrameStatus = "ok"
-        astray, told = np.zeros(0, np.float32), True
+        astray, told, whole = np.zeros(0, np.float32), True, True
         if state.pictures and min(picture.gray.shape) >= LEAST_CELLS:
             boxes = focus_boxes(state.focus, picture.gray.shape, config.flow) if state.focus.size else None
 
@@ -283,11 +310,11 @@ class Coordinator:
 
             with timed(stage_ms, "flow"):
                 goes_on = continuation(state.picture, state.colours, picture, new.frame, search)
-            flow, light, gray = goes_on.flow, goes_on.light, goes_on.gray
+            flow, light, gray, whole = goes_on.flow, goes_on.light, goes_on.gray, goes_on.whole
             if not goes_on.found:
-                return _Match("damaged", None, None, light, gray, astray, False)
+                return _Match("damaged", None, None, light, gray, astray, False, whole)
             if goes_on.glaring and not lasting:
-                return _Match("flash", flow, None, light, gray, astray, False)
+                return _Match("flash", flow, None, light, gray, astray, False, whole)
             told = tells_motion(flow, gray, picture.gray)
         with timed(stage_ms, "tracking"):
             known = state.labels == BACKGROUND if state.clustered else np.ones(len(state.labels), bool)
@@ -307,7 +334,7 @@ class Coordinator:
                 astray = rows_astray(flow, tracked.camera, length_scale(*state.shape))
                 if not state.unsettled and is_torn(astray, state.astray):
                     status = "damaged"
-        return _Match(status, flow, tracked, light, gray, astray, told)
+        return _Match(status, flow, tracked, light, gray, astray, told, whole)
 
     def _begins(self, unsettled: UnsettledFrame, picture: Picture) -> bool:
         """Whether a frame in which the last picture was not found goes on in the next one: a new scene."""
@@ -348,6 +375,8 @@ class Coordinator:
             state.epoch = frame_index
         state.pictures, state.lost = state.pictures + 1, 0
         state.picture, state.colours, state.astray = picture, colour_samples(frame, side), match.astray
+        if match.whole:
+            state.view = picture
         state.fixed = tracked.fixed
         state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
         newest = Places(trajectories.ids, trajectories.positions)
@@ -358,6 +387,8 @@ class Coordinator:
             state.held = relabelled(state.held, trajectories, state.labels)
         if match.told and self._clustering_due(frame_index):
             state.last_clustering = frame_index
+            if state.left and frame_index - state.epoch < 2 * config.layers.init_frames:
+                self._recall(picture)
             cluster(state, frame, frame_index, feedback, config, stage_ms)
         elif state.clustered:
             latest = None if feedback is None else feedback()
@@ -400,7 +431,7 @@ class Coordinator:
             picture, colours, cut = state.picture, state.colours, state.cut
             self._begin_epoch(frame_index + 1)
             self.state.shape, self.state.picture, self.state.colours = state.shape, picture, colours
-            self.state.cut = cut and not state.pictures
+            self.state.cut, self.state.left = cut and not state.pictures, state.left
             return shown
         if not state.pictures:
             # After that much black, say, the first picture is that of another scene.

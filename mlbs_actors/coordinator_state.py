@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mlbs_actors.clustering.left_scenes import LeftScene
 from mlbs_actors.clustering.registry_state import RegistryState
 from mlbs_actors.clustering.repulsion import Repulsion
 from mlbs_actors.clustering.rigid_scene import Places
@@ -17,6 +18,9 @@ from mlbs_actors.tracking.frame_buffer import HeldFrame
 from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
 
 __all__ = ["CoordinatorState", "NewFrame", "UnsettledFrame"]
+
+#: That of a stream that has shown nothing yet.
+NO_VIEW = Picture(np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +109,10 @@ class CoordinatorState:
         Frame of the newest one; 0 if there was none in this epoch.
     evaluated : dict of int to int
         Last emitted frame of each layer that has a process.
+    view : Picture
+        The last picture that went on from the one before nearly everywhere.
+    left : tuple of LeftScene
+        Scenes with objects that cuts have ended, newest first.
     """
 
     next_frame: int
@@ -129,6 +137,8 @@ class CoordinatorState:
     held: tuple[HeldFrame, ...]
     last_clustering: int
     evaluated: dict[int, int]
+    view: Picture
+    left: tuple[LeftScene, ...]
 
     @staticmethod
     def beginning(config: Config) -> CoordinatorState:
@@ -139,7 +149,7 @@ class CoordinatorState:
             cut=False,
             shape=None,
             pictures=0,
-            picture=Picture(np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8)),
+            picture=NO_VIEW,
             colours=np.zeros((0, 0, 3), np.uint8),
             astray=np.zeros(0, np.float32),
             fixed=FixedState.beginning(np.zeros((0, 0), np.uint8)),
@@ -156,4 +166,6 @@ class CoordinatorState:
             held=(),
             last_clustering=0,
             evaluated={},
+            view=NO_VIEW,
+            left=(),
         )

@@ -160,15 +160,16 @@ def test_an_id_has_not_ended_while_a_held_frame_or_a_part_has_it() -> None:
 
 
 @pytest.mark.parametrize("lookahead", [0, 3])
-def test_a_cut_ends_all_objects_of_the_scene_before_it(lookahead: int) -> None:
+def test_objects_that_a_cut_has_taken_away_end_when_their_scene_is_forgotten(lookahead: int) -> None:
     results = run(
         [*pictures_of("pan", 12), *pictures_of("demo", 12)],
-        load_config(None, [f"layers.lookahead={lookahead}"]),
+        load_config(None, [f"layers.lookahead={lookahead}", "layers.dormant_frames=6"]),
     )
     hold_what_they_mean(results)
     first = {layer for one in results[:12] for layer in shown(one)}
     assert first
-    assert first == set(ended(results[:13]))
+    assert set(shown(results[11])) <= set(results[13].absent)
+    assert first == set(ended(results))
     assert results[-1].boxes().ids.size
 
 

@@ -123,6 +123,14 @@ class RegistryState:
             columns[name] = np.concatenate([first, column])
         return replace(self, **columns, next_candidate=self.next_candidate - 1)
 
+    def with_lost(self, lost: RegistryState) -> RegistryState:
+        """Return the state with the objects of another one too, whose labels are none of its own."""
+        theirs = lost._columns()
+        joined: dict[str, Any] = {
+            name: np.concatenate([theirs[name], own]) for name, own in self._columns().items()
+        }
+        return replace(self, **joined).select(np.argsort(joined["labels"], kind="stable"))
+
     def _columns(self) -> dict[str, Any]:
         """Return the arrays by name."""
         values = ((one.name, getattr(self, one.name)) for one in fields(self))

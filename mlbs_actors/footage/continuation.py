@@ -30,6 +30,8 @@ class Continuation:
     flow : DenseFlow
     found : bool
         Whether it does at all.
+    whole : bool
+        Whether it does nearly everywhere.
     light : (3, 256) or (0, 256) uint8
         :func:`~mlbs_actors.footage.light.light_change`.
     gray : (h, w) uint8
@@ -40,6 +42,7 @@ class Continuation:
 
     flow: DenseFlow
     found: bool
+    whole: bool
     light: Array
     gray: Array
     glaring: bool
@@ -71,8 +74,8 @@ def continuation(
     """
     flow = search(before, False)
     light, gray_light, glaring = _light(colours, frame, flow)
-    found = LEAST_FOUND
-    if correlated(flow, before.gray, picture.gray) < SURELY_ALIKE or strength(gray_light) > SMALL_CHANGE:
+    found, whole = LEAST_FOUND, correlated(flow, before.gray, picture.gray) >= SURELY_ALIKE
+    if not whole or strength(gray_light) > SMALL_CHANGE:
         closely = search(before, True)
         found = found_again(closely, before.gray, picture.gray)
         if found < LEAST_FOUND:
@@ -85,7 +88,7 @@ def continuation(
                 flow, found = anew, found_anew
                 light, gray_light, glaring = _light(colours, frame, flow)
     gray = _relit_gray(before.gray, gray_light)
-    return Continuation(flow, found >= LEAST_FOUND, light, gray, glaring)
+    return Continuation(flow, found >= LEAST_FOUND, whole, light, gray, glaring)
 
 
 def _light(colours: Array, frame: Array, flow: DenseFlow) -> tuple[Array, Array, bool]:
