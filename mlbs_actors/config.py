@@ -503,6 +503,12 @@ class SegmentationConfig(_Section):
     contact_edge_px: float = Field(
         4.0, ge=0, description="Width of its edges, which are neither smooth nor flat, px."
     )
+    stray_tracks: int = Field(
+        3,
+        ge=1,
+        description="So many trajectories of another object make a part of a mask that holds none of its own "
+        "that object's.",
+    )
     label_cost: float = Field(
         20.0, ge=0, description="h_k: cost of using a new layer's label at all, px × nats."
     )

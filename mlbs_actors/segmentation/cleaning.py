@@ -1,10 +1,12 @@
-"""Removal of specks and holes from a label map (§7; the authors' program cleans the map it learns from).
+"""Removal of strays, specks and holes from a label map (§7; the authors' program cleans what it learns from).
 
 Components are found by their runs (:mod:`mlbs_actors.segmentation.label_runs`).
 
 Differs from the authors' program, which publishes the raw map and learns from the cleaned one: here they are
 the same map. A component smaller than the limit goes to the neighbour with the longest common border; the
-largest component of a label is never a speck, so a small distant object survives.
+largest component of a label is never a speck, so a small distant object survives. A component that holds
+trajectories of another object, and none of its own, goes to that object: a layer has taken for its own what
+it once was before, and does not let go of it.
 """
 
 from __future__ import annotations
@@ -19,7 +21,14 @@ __all__ = ["clean_labels"]
 
 
 @compiled
-def clean_labels(labels: Array, box: tuple[int, int, int, int], speck_px: float, hole_px: float) -> None:
+def clean_labels(
+    labels: Array,
+    box: tuple[int, int, int, int],
+    speck_px: float,
+    hole_px: float,
+    tracks: Array,
+    stray_tracks: int,
+) -> None:
     """Remove small components of every label in a box, in place.
 
     Parameters
@@ -32,6 +41,10 @@ def clean_labels(labels: Array, box: tuple[int, int, int, int], speck_px: float,
         Components of a label > 0 below this area are removed, except each label's largest, px².
     hole_px : float
         Components of the background below this area are filled, px².
+    tracks : (n, 3) int64
+        Row and column of the objects' trajectories in the map, and their labels.
+    stray_tracks : int
+        So many trajectories of another object make a component without any of its own that object's.
     """
     left, top, width, height = box
     bottom, right = top + height, left + width
@@ -40,6 +53,21 @@ def clean_labels(labels: Array, box: tuple[int, int, int, int], speck_px: float,
     # The background continues past any side that is not the frame's.
     beyond = (left > 0, top > 0, right < labels.shape[1], bottom < labels.shape[0])
     label_of, areas = _measured(cleaned, rows, starts, ends, of_run, beyond, labels.size - cleaned.size)
+    first = np.searchsorted(rows, np.arange(height + 1))
+    held = np.zeros((areas.size, max(label_of.max(), tracks[:, 2].max() if len(tracks) else 0) + 1), np.int64)
+    for y, x, label in tracks:
+        if top <= y < bottom and left <= x < right:
+            run = first[y - top]
+            while ends[run] <= x - left:
+                run += 1
+            held[of_run[run], label] += 1
+    for one in range(areas.size):
+        if label_of[one] != BACKGROUND and held[one, label_of[one]] == 0:
+            other = held[one].argmax()
+            if held[one, other] >= stray_tracks:
+                label_of[one] = other
+                for run in np.flatnonzero(of_run == one):
+                    cleaned[rows[run], starts[run] : ends[run]] = other
     largest = np.full(label_of.max() + 1, -1)
     for one in range(areas.size):
         if largest[label_of[one]] < 0 or areas[one] > areas[largest[label_of[one]]]:

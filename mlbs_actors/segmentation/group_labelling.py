@@ -140,7 +140,14 @@ def label_proposals(
         labelling = minimise(_energy(scene, proposals, own, box, pixels, dark), config.most_cut_whole)
         published[pixels.slices] = proposals.ids[own][labelling]
         cut = perf_counter()
-        clean_labels(published, pixels.box, config.speck_px * scale**2, config.hole_px * scale**2)
+        clean_labels(
+            published,
+            pixels.box,
+            config.speck_px * scale**2,
+            config.hole_px * scale**2,
+            _object_tracks(scene.positions, proposals, own),
+            config.stray_tracks,
+        )
         labels = published[pixels.slices].copy()
         if dark is not None and config.contact_shadow > 0:
             strip = contact_shadow(labels, scene.frame[pixels.slices], dark, side, scale, config)
@@ -162,6 +169,14 @@ def _touching(proposals: Proposals) -> Iterator[tuple[Array, Region]]:
         own = np.concatenate([[0], 1 + np.flatnonzero(group == first)])
         left, top, right, bottom = corners[first].tolist()
         yield own, Region(left, top, right - left, bottom - top)
+
+
+def _object_tracks(positions: Array, proposals: Proposals, own: Array) -> Array:
+    """Return row, column and label of the trajectories of some layers but the first, the background."""
+    spans = [(proposals.ids[one], *proposals.tracks[one]) for one in own[1:]]
+    places = [np.rint(positions[start:end, ::-1]).astype(np.int64) for _, start, end in spans]
+    labels = [np.full(end - start, label, np.int64) for label, start, end in spans]
+    return np.column_stack([np.concatenate(places), np.concatenate(labels)])
 
 
 def _energy(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import pytest
@@ -19,10 +21,13 @@ def cleaned(labels: Array, speck_px: float, hole_px: float) -> Array:
     return cleaned_in(labels, Region(0, 0, labels.shape[1], labels.shape[0]), speck_px, hole_px)
 
 
-def cleaned_in(labels: Array, box: Region, speck_px: float, hole_px: float) -> Array:
+def cleaned_in(
+    labels: Array, box: Region, speck_px: float, hole_px: float, tracks: Sequence[tuple[int, int, int]] = ()
+) -> Array:
     """What a box then holds; nothing changes outside it."""
     result = labels.astype(np.uint16)
-    clean_labels(result, (box.x, box.y, box.width, box.height), float(speck_px), float(hole_px))
+    found = np.array(tracks, np.int64).reshape(-1, 3)
+    clean_labels(result, (box.x, box.y, box.width, box.height), float(speck_px), float(hole_px), found, 2)
     inside = result[box.slices].copy()
     result[box.slices] = labels[box.slices]
     np.testing.assert_array_equal(result, labels)
@@ -265,3 +270,35 @@ def test_a_box_of_random_patches_is_cleaned_as_by_flood_fill() -> None:
         speck_px, hole_px = (float(limit) for limit in rng.integers(1, 30, 2))
         expected = slowly_cleaned(labels, box, speck_px, hole_px)
         np.testing.assert_array_equal(cleaned_in(labels, box, speck_px, hole_px), expected)
+
+
+STRAY = drawn(
+    "............",
+    ".111.22222..",
+    ".111.21122..",
+    ".111.21122..",
+    ".....22222..",
+    "............",
+)
+
+
+@pytest.mark.parametrize(
+    ("tracks", "stays"),
+    [
+        ([(2, 6, 2), (3, 7, 2)], False),
+        ([(2, 6, 2)], True),  # one may be a mistake
+        ([(2, 6, 2), (3, 7, 2), (3, 6, 1)], True),
+        ([(1, 6, 2), (4, 7, 2)], True),  # beside it
+        ([(2, 6, 3), (3, 7, 2)], True),  # of two objects
+    ],
+)
+def test_a_part_that_holds_only_trajectories_of_another_object_is_that_objects(
+    tracks: list[tuple[int, int, int]], stays: bool
+) -> None:
+    whole = Region(0, 0, STRAY.shape[1], STRAY.shape[0])
+    expected = STRAY.copy()
+    if not stays:
+        expected[2:4, 6:8] = 2
+    np.testing.assert_array_equal(cleaned_in(STRAY, whole, 0, 0, tracks), expected)
+    part = Region(4, 1, 8, 4)
+    np.testing.assert_array_equal(cleaned_in(STRAY, part, 0, 0, tracks), expected[part.slices])

@@ -147,7 +147,7 @@ def test_a_layer_process_that_hangs_at_its_start_is_replaced(
 def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_ended(
     host: str, parts: FakeParts
 ) -> None:
-    policy = PoolPolicy(spare=0, release_seconds=10.0 if host == "ray" else 3.0)
+    policy = PoolPolicy(spare=0, release_seconds=10.0 if host == "ray" else 3.0, idle_seconds=600.0)
     pool = spawn(PoolActor, parts, policy, node=here())
     run = get(pool.begin.remote(1))
     kept, hanging = (get(pool.acquire.remote(run, CONFIG, awaited=True))[0] for layer in (1, 2))
