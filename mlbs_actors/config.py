@@ -253,23 +253,14 @@ class LayersConfig(_Section):
     scene_frames: int = Field(
         4, ge=1, description="Frames over which depth alone may explain a label's motion."
     )
-    scene_area: float = Field(
-        0.05, ge=0, le=1, description="A young label of at least this share of the frame is background ..."
-    )
-    scene_border: float = Field(
-        0.2, ge=0, le=1, description="... if this share of its outline is the frame's border ..."
-    )
     scene_obeying: float = Field(
-        0.75, ge=0, le=1, description="... and depth alone explains this share of it and of the background."
-    )
-    scene_contradicted: float = Field(
-        0.25,
+        0.75,
         ge=0,
         le=1,
-        description="If depth explains less of it, and the background, it moves by itself; nor is it static.",
+        description="Share of the trajectories that one rigid scene explains, to tell anything.",
     )
-    scene_depth: float = Field(
-        0.15, ge=0, le=1, description="A background has depth if a plane explains it so much worse."
+    scene_odds: float = Field(
+        1.5, ge=0, description="Log-odds that it is static from which on a layer does not move, nats."
     )
     same_motion_distance: float = Field(
         2.5, ge=0, description="Objects of any age but long-lived ones are one below it at that quantile."

@@ -18,7 +18,7 @@ from mlbs_actors.clustering.layer_registry import LayerRegistry
 from mlbs_actors.clustering.motion_merging import merge_by_motion
 from mlbs_actors.clustering.parts import objects_beneath
 from mlbs_actors.clustering.reidentification import colours_at
-from mlbs_actors.clustering.rigid_scene import judge_by_depth
+from mlbs_actors.clustering.rigid_scene import scene_evidence
 from mlbs_actors.clustering.splitting import (
     background_first,
     bled_trajectories,
@@ -71,11 +71,25 @@ def cluster(
         speed = residual_speed(state.trajectories, config.layers.speed_frames)
         split, origins = _split(state, registry, affinity, speed, config)
         ages = registry.ages(frame_index)
-        speeds, least = _judged(state, registry, split, origins, ages, label_speeds(speed, split), config)
-        registry.judge(speeds, least)
-        repulsion = state.repulsion.gathered(
-            graph, split, state.trajectories.positions, registry.origins() | origins, config
+        speeds = label_speeds(speed, split)
+        least = least_object_speed(state.trajectories, split, config.layers, length_scale(*state.shape))
+        relative = {label: one / least for label, one in speeds.items()}
+        proven = {label for label in speeds if ages.get(label, 0) >= config.layers.young_frames}
+        scene = scene_evidence(
+            state.places,
+            split,
+            proven - {BACKGROUND},
+            relative,
+            state.fixed.cells,
+            state.shape,
+            config.layers,
         )
+        repulsion = state.repulsion.gathered(
+            graph, split, state.trajectories.positions, registry.origins() | origins, scene.motion, config
+        )
+        odds = {label: one - repulsion.between(BACKGROUND, label) for label, one in scene.standing.items()}
+        speeds = _judged(state, registry, split, origins, ages, speeds, least, odds, config)
+        registry.judge(speeds, least)
         labels = merge_by_motion(graph, split, ages, speeds, least, config.layers, repulsion)
         gone = set(speeds) - distinct_labels(labels)
         registry.forget({label: int(labels[split == label][0]) for label in gone})
@@ -154,20 +168,24 @@ def _judged(
     origins: dict[int, int],
     ages: dict[int, int],
     speeds: dict[int, float],
+    least: float,
+    odds: dict[int, float],
     config: Config,
-) -> tuple[dict[int, float], float]:
-    """Return how fast each label moves by itself, and how fast objects do at least, px/frame."""
+) -> dict[int, float]:
+    """Return how fast each label moves by itself, px/frame.
+
+    That is its speed, but 0 for what is more likely static by its log-odds, and at least ``least``, the speed
+    of an object, for a young label that is not, and no part of an object.
+    """
     assert state.shape is not None
-    scale = length_scale(*state.shape)
-    least = least_object_speed(state.trajectories, labels, speeds, config.layers, scale)
+    layers = registry.layer_labels()
+    static = {
+        one for one, weight in odds.items() if weight > (config.layers.scene_odds if one in layers else 0)
+    }
     parts = registry.parts() | {new for new, origin in origins.items() if origin > BACKGROUND}
-    young = {one for one in speeds if ages.get(one, 0) < config.layers.young_frames}
-    young -= parts | {BACKGROUND}
-    slow = {one for one in speeds if speeds[one] < least}
-    static, moving = judge_by_depth(
-        state.places, labels, young, slow, state.fixed.cells, state.shape, config.layers
-    )
+    young = {one for one in odds if ages.get(one, 0) < config.layers.young_frames} - parts
+    moving = dict.fromkeys(young - static, least)
     if state.clustered:
-        new, spacing = young - registry.layer_labels(), config.trajectories.seed_spacing_px * scale
-        static |= outgrowing(labels, new, state.trajectories.positions, spacing, state.shape)
-    return speeds | dict.fromkeys(moving, least) | dict.fromkeys(static, 0.0), least
+        spacing = config.trajectories.seed_spacing_px * length_scale(*state.shape)
+        static |= outgrowing(labels, young - layers, state.trajectories.positions, spacing, state.shape)
+    return speeds | moving | dict.fromkeys(static, 0.0)

@@ -1,59 +1,82 @@
-"""Depth is not motion: what moves as a part of one rigid scene could is background (§4).
+"""Depth is not motion: how likely each label is a part of one rigid scene (§4).
 
 Not in the paper, which has no camera model. A homography (:mod:`mlbs_actors.tracking.camera`) stands for the
-camera's motion here, and what is nearer than the plane that it describes moves against it: a rock, a wall,
-the near bank of a river, a guard rail. Over some frames one essential matrix explains all that is static,
-with a depth for each point. It is fitted to three sets of trajectories, as each can mislead:
+camera's motion here, and what is nearer than the plane that it describes moves against it: a post, a rock, a
+wall, a guard rail. Over some frames one essential matrix explains all that is static, with a depth for each
+point. It is fitted to the trajectories of *all* labels that may be static, and not to the background's only:
+where a scene has much depth, the background of the first clustering is a piece of it.
 
-* *The background's and one label's.* It explains an object as well, if that moves evenly before a plane. But
-  an object is mostly surrounded by the background, while near parts of the scene reach out of the frame. So a
-  large young label of whose outline a part is the frame's border is background, unless the matrix fails for
-  it or for the background.
-* *All.* A single label hardly bends it. A young label for which this matrix or the first fails, but not for
-  the background, moves by itself, even if it is slower than the background's own parallax.
-* *The background's.* It is well determined only if the background has depth, so that a homography explains
-  clearly less of it. Then what it explains in front of the camera is static, wherever it lies, unless a
-  matrix that is fitted to half of the background fails for it. Of the cars beside a driving camera that keep
-  its pace it says that they are behind infinity.
+Nothing here decides. Each sign is a log-likelihood ratio that was measured (docs/experiments/camera.md), that
+a label is static and not moving by itself:
 
-The focal length is taken to be ``FOCAL`` of the longer side: between 0.7 and 1.8 the outcome is much the
-same.
+* *Its motion.* The share of its trajectories that obey the matrix, in front of the camera. It says the more,
+  the better the matrix explains the others than a homography does: before a plane it is arbitrary, and bends
+  to whatever moves evenly. So the matrices of each half of the points are asked, too, and the more depth the
+  others have, the more is a label that covers much judged by the matrix of these alone.
+* *Where it lies.* Of the outline of near parts of the scene a part is the frame's border; an object is mostly
+  surrounded.
+* *Its speed* against the homography.
+* *The scene.* The less of the others one plane explains, the more labels are parts of it.
+
+The focal length is taken to be ``FOCAL`` of the longer side.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from mlbs_actors.clustering.label_index import distinct_labels
+from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.tracking.trajectories import evenly_spread
 
-__all__ = ["Places", "border_share", "judge_by_depth", "scene_squares", "taken_squares"]
+__all__ = ["Places", "SceneEvidence", "border_share", "scene_evidence", "scene_squares", "taken_squares"]
+
+#: Places, ascending, and values of a curve that is linear in between.
+_Curve = tuple[tuple[float, ...], tuple[float, ...]]
 
 #: Focal length, × the longer side of the frame.
 FOCAL = 1.1
 #: Confidence that the best matrix was found, and most samples drawn for it.
 CONFIDENCE, MOST_SAMPLES = 0.999, 1000
-#: Distance to the epipolar line of a point that obeys, px, and what is added to it, × its parallax.
-INLIER_PX, INLIER_RELATIVE = 1.0, 0.02
+#: Distance to the epipolar line of a point that obeys, px, and what is added to it, × its parallax; to be
+#: static, no more than that of so much parallax, px.
+INLIER_PX, INLIER_RELATIVE, MOST_PARALLAX_PX = 1.0, 0.02, 50.0
 #: Distance within which a homography explains a point, px: errors along the line count as well.
 PLANE_PX = 1.5
-#: What is static has at most so many px of parallax towards the wrong side; which one that is, is known if so
-#: much of the background is on the right one.
-BEHIND_PX, IN_FRONT = 2.0, 0.95
-#: Least number of points that stand for the background.
-LEAST_BACKGROUND = 20
-#: Spacing of the points that stand for the background and for a label, px.
-BACKGROUND_SPACING_PX, SPACING_PX = 20.0, 12.0
+#: What is static has at most so many px of parallax towards the wrong side.
+BEHIND_PX = 2.0
+#: Fewest points that a matrix is fitted to, and their spacing, px.
+LEAST_POINTS, SPACING_PX = 20, 20.0
 #: Side of the squares of which an outline is made, px, and fewest of them.
 SQUARE_PX, LEAST_SQUARES = 24.0, 4
 #: A square of which so much is fixed in the picture shows none of the scene.
 MOST_FIXED = 0.5
+#: From this share of the points on, a label is large, and bends a matrix that is fitted to it.
+LARGE = 0.05
+# Log-likelihood ratios, nats.
+#: Of the share of a label's trajectories that obey, × the lowest or the highest value.
+OBEYING = (0.05, 0.18, 0.45, 0.65, 0.85), (-1.0, -0.6, 0.0, 0.5, 1.0)
+#: These values, by the depth of the others: by how much more of them the matrix explains than a plane does.
+LOWEST, HIGHEST = ((0.05, 0.3), (-0.5, -2.6)), ((0.05, 0.3), (0.3, 2.6))
+#: The same for a large label, by the matrix that is fitted to it as well.
+LARGE_LOWEST, LARGE_HIGHEST = ((0.05, 0.2), (-0.5, -1.8)), ((0.03, 0.1), (0.2, 1.6))
+#: The weight of the matrix of the others alone for a large label, by their depth.
+OTHERS_WEIGHT = (0.1, 0.25), (0.0, 1.0)
+#: Of the share of its outline that is the frame's border, and that of a label of less than this share of the
+#: frame, whose outline is a few squares.
+BORDER, SMALL_BORDER, SMALL = ((0.0, 0.05, 0.3, 0.5), (-1.2, 0.8, 1.1, 2.8)), ((0.0, 0.05), (-0.4, 1.0)), 0.01
+#: Of its area, × the part of the second curve for its border.
+AREA, AREA_BORDER = ((0.1, 0.25), (0.0, 1.0)), ((0.1, 0.4), (0.0, 1.0))
+#: Of the binary logarithm of its speed, × the least one of an object.
+SPEED = (-1.5, -0.5, 0.0, 1.0, 1.5, 3.0, 4.0), (3.5, 2.2, 1.3, 0.5, 0.1, -0.6, -1.0)
+#: Log-odds that a label is static, by the share of the others that a plane explains; where that is not known.
+PRIOR, UNKNOWN_PRIOR = ((0.66, 0.97), (1.0, -1.8)), -0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,27 +95,45 @@ class Places:
     positions: Array
 
 
-def judge_by_depth(
+@dataclass(frozen=True, slots=True)
+class SceneEvidence:
+    """How likely labels are static, in nats: positive for a part of the scene.
+
+    Attributes
+    ----------
+    motion : dict of int to float
+        Label → log-likelihood ratio of its motion in the last pictures; without those of which nothing is
+        known. It is worth gathering: every clustering sees other pictures.
+    standing : dict of int to float
+        Label → log-odds by all else, which changes little from one clustering to the next.
+    """
+
+    motion: dict[int, float]
+    standing: dict[int, float]
+
+
+def scene_evidence(
     places: Sequence[Places],
     labels: Array,
-    young: Collection[int],
-    slow: Collection[int],
+    objects: Collection[int],
+    speeds: Mapping[int, float],
     fixed: Array,
     shape: tuple[int, int],
     config: LayersConfig,
-) -> tuple[set[int], set[int]]:
-    """Tell static parts of the scene, and what moves by itself, from how one rigid scene holds them.
+) -> SceneEvidence:
+    """Weigh for every label whether it is a part of one rigid scene.
 
     Parameters
     ----------
     places : sequence of Places
-        In the last pictures, newest first; the newest and the oldest are compared.
+        In the last pictures, newest first. The newest and the oldest are compared; for a label most of whose
+        trajectories are younger, the newest and the third or second.
     labels : (n,) int64
         Of the newest.
-    young : collection of int
-        Labels of which it is not known whether they move.
-    slow : collection of int
-        Labels, young or not, that seem to rest.
+    objects : collection of int
+        Labels that are known to move by themselves: the matrix is not fitted to them.
+    speeds : mapping of int to float
+        Label → its speed against the homography, × the least one of an object.
     fixed : (h, w) bool
         Cells that are fixed in the picture: the scene ends at a bonnet as at the frame's border.
     shape : (int, int)
@@ -100,84 +141,114 @@ def judge_by_depth(
 
     Returns
     -------
-    static : set of int
-        Labels, young or not, that seem to move only because they are near.
-    moving : set of int
-        Young slow labels that move by themselves.
+    SceneEvidence
+        Of all labels but the background.
     """
-    static, scene = set(), scene_squares(fixed, shape)
-    for label in young:
-        taken = taken_squares(places[0].positions[labels == label], shape)
-        if taken.mean() >= config.scene_area and border_share(taken, scene) > config.scene_border:
-            static.add(label)
-    pairs = _Pairs.between(places[-1], places[0], labels, shape)
-    background = pairs.spread([BACKGROUND], BACKGROUND_SPACING_PX)
-    if len(background) < LEAST_BACKGROUND:
-        return static, set()
-    judged = {label for label in distinct_labels(pairs.labels) if pairs.count(label) >= config.min_tracks}
-    judged -= {BACKGROUND}
-    resting = judged.intersection(young).intersection(slow)
-    left, moving = _by_single_labels(pairs, background, resting, static & judged, config)
-    static -= left
-    background = pairs.spread([BACKGROUND, *static], BACKGROUND_SPACING_PX)
-    moving |= _by_all(pairs, background, resting - static, static, config)
-    static |= _by_background(pairs, background, judged - static - set(slow), config)
-    return static, moving
+    scene = scene_squares(fixed, shape)
+    judged = sorted(distinct_labels(labels) - {BACKGROUND, UNLABELLED})
+    standing = {
+        label: _standing(labels == label, places[0].positions, speeds[label], scene, shape)
+        for label in judged
+    }
+    motion, priors = dict[int, float](), dict.fromkeys(judged, UNKNOWN_PRIOR)
+    oldest = len(places) - 1
+    for frames in (one for one in (oldest, 2, 1) if 0 < one <= oldest):
+        pairs = _Pairs.between(places[frames], places[0], labels, shape)
+        least = {label: max(config.min_tracks, np.count_nonzero(labels == label) / 2) for label in judged}
+        known = [one for one in judged if one not in motion and pairs.count(one) >= least[one]]
+        points = pairs.spread(distinct_labels(pairs.labels) - set(objects), SPACING_PX)
+        fit = _Fit.to(pairs, points) if known else None
+        if fit is not None and frames == oldest and fit.holds(points, config):
+            priors = dict.fromkeys(judged, fit.prior(points))
+        motion |= dict.fromkeys(known, 0.0)
+        for label in known:
+            others = points[pairs.labels[points] != label]
+            odds = None if fit is None else _motion_odds(fit, pairs, label, others, points, config)
+            if odds is not None and fit is not None:
+                motion[label] = odds
+                if frames == oldest:
+                    priors[label] = fit.prior(others)
+    return SceneEvidence(motion, {label: standing[label] + priors[label] for label in judged})
 
 
-def _by_single_labels(
-    pairs: _Pairs, background: Array, resting: set[int], at_border: set[int], config: LayersConfig
-) -> tuple[set[int], set[int]]:
-    """Return the labels at the border that are no parts of the scene, and the resting ones that move."""
-    left, moving = set(), set()
-    for label in sorted(resting | at_border):
-        obeys = _obeying(pairs, np.concatenate((background, pairs.spread([label], SPACING_PX))))
-        if obeys is None:
-            continue
-        own, others = pairs.share(obeys, label), float(obeys[background].mean())
-        if min(own, others) < config.scene_obeying:
-            left.add(label)
-        if label in resting and own < config.scene_contradicted and others >= config.scene_obeying:
-            moving.add(label)
-    return left, moving
+def _standing(own: Array, positions: Array, speed: float, scene: Array, shape: tuple[int, int]) -> float:
+    """Return the log-likelihood ratio by the border, area and speed of a label's trajectories, (n,) bool."""
+    taken = taken_squares(positions[own], shape)
+    border, area = border_share(taken, scene), float(taken.mean())
+    large = _curve(area, AREA) * _curve(border, AREA_BORDER)
+    reaching = _curve(border, BORDER if area > SMALL else SMALL_BORDER)
+    return reaching + large + _curve(math.log2(max(speed, 1e-3)), SPEED)
 
 
-def _by_all(
-    pairs: _Pairs, background: Array, resting: set[int], static: set[int], config: LayersConfig
-) -> set[int]:
-    """Return the resting labels that the matrix of all trajectories leaves."""
-    if not resting:
-        return set()
-    others = pairs.spread(distinct_labels(pairs.labels) - static - {BACKGROUND}, SPACING_PX)
-    obeys = _obeying(pairs, np.concatenate((background, others)))
-    if obeys is None or obeys[background].mean() < config.scene_obeying:
-        return set()
-    return {label for label in resting if pairs.share(obeys, label) < config.scene_contradicted}
+def _motion_odds(
+    fit: _Fit, pairs: _Pairs, label: int, others: Array, points: Array, config: LayersConfig
+) -> float | None:
+    """Return the log-likelihood ratio of a label's motion; None if no matrix holds for the others (k,)."""
+    if len(others) > (1 - LARGE) * len(points):
+        return fit.odds(pairs, label, others, LOWEST, HIGHEST, config)
+    odds = fit.odds(pairs, label, others, LARGE_LOWEST, LARGE_HIGHEST, config)
+    theirs = _Fit.to(pairs, others)
+    alone = None if theirs is None else theirs.odds(pairs, label, others, LOWEST, HIGHEST, config)
+    if theirs is None or alone is None or odds is None:
+        return odds if alone is None else alone
+    weight = _curve(theirs.depth(others), OTHERS_WEIGHT)
+    return weight * alone + (1 - weight) * odds
 
 
-def _by_background(pairs: _Pairs, background: Array, fast: set[int], config: LayersConfig) -> set[int]:
-    """Return the labels that are static by the background's own matrix; none if it has no depth.
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """What one rigid scene and one plane, fitted to some trajectories, explain of all.
 
-    If it has little, many matrices explain it, and chance decides which of them is found: of an object that
-    moves by itself, the matrix of one half of the background explained everything, that of the other half
-    nothing. So a matrix is fitted to each half as well. It must explain the background as that of all does,
-    or no label is static, and at least ``scene_contradicted`` of a label, or that label is not.
+    Attributes
+    ----------
+    explained : (m,) bool
+        Whether the essential matrix explains a trajectory.
+    obeying : (m,) float64
+        The share of the three matrices, of all points and of each half, by which it is static.
+    flat : (m,) bool
+        Whether the homography explains it.
     """
-    if not fast:
-        return set()
-    flat = _obeying_homography(pairs, background)
-    if flat >= 1.0 - config.scene_depth:  # depth cannot explain so much more
-        return set()
-    static = set(fast)
-    halves = [(half, config.scene_contradicted) for half in (background[::2], background[1::2])]
-    for fitted, least in ((background, config.scene_obeying), *halves):
-        obeys = _obeying(pairs, fitted, in_front=True)
-        if obeys is None or obeys[background].mean() <= max(config.scene_obeying, flat + config.scene_depth):
-            return set()
-        static = {label for label in static if pairs.share(obeys, label) >= least}
-        if not static:
-            break
-    return static
+
+    explained: Array
+    obeying: Array
+    flat: Array
+
+    @classmethod
+    def to(cls, pairs: _Pairs, points: Array) -> _Fit | None:
+        """Fit to trajectories (k,); None if they are too few or too irregular."""
+        if len(points) < LEAST_POINTS:
+            return None
+        flat = _on_plane(pairs, points)
+        scenes = [_in_scene(pairs, some) for some in (points, points[::2], points[1::2])]
+        found = [one for one in scenes if one is not None]
+        if flat is None or len(found) < len(scenes):
+            return None
+        return cls(found[0][0], np.mean([static for _, static in found], axis=0), flat)
+
+    def holds(self, points: Array, config: LayersConfig) -> bool:
+        """Whether the matrix explains trajectories (k,) as a whole."""
+        return bool(self.explained[points].mean() >= config.scene_obeying)
+
+    def depth(self, points: Array) -> float:
+        """Return by how much more of trajectories (k,) the matrix explains than the homography."""
+        return float(self.explained[points].mean() - self.flat[points].mean())
+
+    def prior(self, points: Array) -> float:
+        """Return the log-odds that a label beside trajectories (k,) is static."""
+        return _curve(float(self.flat[points].mean()), PRIOR)
+
+    def odds(
+        self, pairs: _Pairs, label: int, others: Array, lowest: _Curve, highest: _Curve, config: LayersConfig
+    ) -> float | None:
+        """Return the log-likelihood ratio of a label's motion; None if the matrix fails for the others."""
+        if len(others) < LEAST_POINTS or not self.holds(others, config):
+            return None
+        share = _curve(float(self.obeying[pairs.labels == label].mean()), OBEYING)
+        return (
+            share * _curve(self.depth(others), highest)
+            if share > 0
+            else -share * _curve(self.depth(others), lowest)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,10 +287,6 @@ class _Pairs:
         """Return indices (k,) of trajectories of some labels, at most one a square."""
         chosen = np.isin(self.labels, list(labels))
         return evenly_spread(self.now.astype(np.float32), chosen, spacing * self.scale)
-
-    def share(self, obeys: Array, label: int) -> float:
-        """Return the share of a label's trajectories that obey, (m,) bool."""
-        return float(obeys[self.labels == label].mean())
 
 
 def taken_squares(positions: Array, shape: tuple[int, int]) -> Array:
@@ -284,20 +351,20 @@ def _surrounded(squares: Array) -> Array:
     return squares & inner
 
 
-def _obeying(pairs: _Pairs, chosen: Array, *, in_front: bool = False) -> Array | None:
-    """Tell which trajectories obey the essential matrix of some of them.
+def _in_scene(pairs: _Pairs, chosen: Array) -> tuple[Array, Array] | None:
+    """Tell which trajectories are parts of the rigid scene of some of them.
 
     Parameters
     ----------
     pairs : _Pairs
     chosen : (k,) intp
-    in_front : bool
-        Whether they must not be behind infinity either, if it is known on which side that is.
 
     Returns
     -------
-    (m,) bool, or None
-        None if there is no matrix.
+    explained : (m,) bool
+        Whether they obey the essential matrix. None in place of both if there is none.
+    static : (m,) bool
+        Whether they do so closely, and in front of the camera.
     """
     ends, starts = pairs.now[chosen], pairs.before[chosen]
     try:
@@ -316,21 +383,28 @@ def _obeying(pairs: _Pairs, chosen: Array, *, in_front: bool = False) -> Array |
     towards = epipole[:2] - epipole[2] * farthest
     towards /= np.maximum(np.hypot(*towards.T), 1e-9)[:, None]
     parallax = pairs.before - farthest
-    off = np.abs(parallax[:, 0] * towards[:, 1] - parallax[:, 1] * towards[:, 0])
-    obeys = np.asarray(off < INLIER_PX * pairs.scale + INLIER_RELATIVE * np.hypot(*parallax.T))
-    along = (parallax * towards).sum(axis=1)
-    if in_front and (along[chosen] > -INLIER_PX * pairs.scale).mean() >= IN_FRONT:
-        obeys &= along > -BEHIND_PX * pairs.scale
-    return obeys
+    length = np.hypot(*parallax.T)
+    off = np.abs(parallax[:, 0] * towards[:, 1] - parallax[:, 1] * towards[:, 0]) - INLIER_PX * pairs.scale
+    static = off < INLIER_RELATIVE * np.minimum(length, MOST_PARALLAX_PX * pairs.scale)
+    static &= (parallax * towards).sum(axis=1) > -BEHIND_PX * pairs.scale
+    return np.asarray(off < INLIER_RELATIVE * length), static
 
 
-def _obeying_homography(pairs: _Pairs, chosen: Array) -> float:
-    """Return the share of some trajectories (k,) that one homography explains.
+def _on_plane(pairs: _Pairs, chosen: Array) -> Array | None:
+    """Tell which trajectories (m,) bool the homography of some of them (k,) explains.
 
     By MAGSAC, like the essential matrix, but with OpenCV's own limits. Plain RANSAC stops at the first
     homography that is good enough: of planes that one homography explains to 92 to 100 %, it explained 73 to
     95 %, so that they were taken to have depth.
     """
     ends, starts = pairs.now[chosen], pairs.before[chosen]
-    matrix, inliers = cv2.findHomography(ends, starts, cv2.USAC_MAGSAC, PLANE_PX * pairs.scale)
-    return 0.0 if matrix is None else float(inliers.mean())
+    matrix, _ = cv2.findHomography(ends, starts, cv2.USAC_MAGSAC, PLANE_PX * pairs.scale)
+    if matrix is None:
+        return None
+    error = cv2.perspectiveTransform(pairs.now[None], matrix)[0] - pairs.before
+    return np.asarray(np.hypot(*error.T) < PLANE_PX * pairs.scale)
+
+
+def _curve(place: float, curve: _Curve) -> float:
+    """Return the value of a curve at a place."""
+    return float(np.interp(place, *curve))

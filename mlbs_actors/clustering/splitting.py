@@ -15,7 +15,7 @@ Differs from the paper, which trusts the N-cut alone:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 
 import numpy as np
@@ -231,27 +231,21 @@ def label_speeds(speed: Array, labels: Array) -> dict[int, float]:
 
 
 def least_object_speed(
-    trajectories: TrajectoryState,
-    labels: Array,
-    speeds: Mapping[int, float],
-    config: LayersConfig,
-    scale: float,
+    trajectories: TrajectoryState, labels: Array, config: LayersConfig, scale: float
 ) -> float:
-    """Return the speed against the camera below which a young label is background, px/frame.
+    """Return the least speed of an object against the camera, px/frame.
 
     Parameters
     ----------
     trajectories : TrajectoryState
     labels : (n,) int64
-    speeds : mapping of int to float
-        :func:`label_speeds`.
     scale : float
         :func:`~mlbs_actors.config.length_scale` of the frame.
     """
     least = config.camera_px * scale
-    if BACKGROUND in speeds:
+    if (labels == BACKGROUND).any():
         camera = median_length(trajectories.motions.astype(np.float64), labels == BACKGROUND)
-        least = max(least, config.camera_relative * camera, 4.0 * speeds[BACKGROUND])
+        least = max(least, config.camera_relative * camera)
     return least
 
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from itertools import count
+from collections.abc import Collection
 
 import numpy as np
 import pytest
 
-from mlbs_actors.clustering import rigid_scene
 from mlbs_actors.clustering.rigid_scene import (
     FOCAL,
     Places,
+    SceneEvidence,
     border_share,
-    judge_by_depth,
+    scene_evidence,
     scene_squares,
     taken_squares,
 )
@@ -66,78 +66,86 @@ def test_the_outline_of_what_reaches_out_of_the_frame_is_partly_the_border() -> 
     assert border_share(taken_squares(np.zeros((2, 2), np.float32), SHAPE), showing) == 0.0
 
 
-def test_the_scene_ends_where_the_picture_is_fixed() -> None:
-    places, labels = scene((slice(200, 380), slice(150, 490)), STILL, SIDEWAYS, relief=0.0)
-    bonnet = SCENE.copy()
-    bonnet[95:] = True
-    config = LayersConfig()
-    for fixed, static in ((SCENE, set()), (bonnet, {1})):
-        assert judge_by_depth(places, labels, {1}, set(), fixed, SHAPE, config) == (static, set())
+def weighed(
+    places: list[Places],
+    labels: Array,
+    fixed: Array = SCENE,
+    speed: float = 3.0,
+    objects: Collection[int] = (),
+) -> SceneEvidence:
+    """The evidence for labels that move ``speed`` times as fast as the slowest objects."""
+    speeds = dict.fromkeys(labels.tolist(), speed)
+    return scene_evidence(places, labels, objects, speeds, fixed, SHAPE, LayersConfig())
 
 
 @pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
-def test_a_near_part_of_a_flat_scene_is_background_if_it_reaches_out_of_the_frame(camera: Array) -> None:
-    config = LayersConfig()
-    for near, motion, young, static in (
-        (LEFT, STILL, {1}, {1}),
-        (LEFT, STILL, set(), set()),
-        (MIDDLE, STILL, {1}, set()),  # surrounded by a plane: depth would explain too much
-        (CORNER, STILL, {1}, set()),  # small: the outcome hangs on a few trajectories
-    ):
-        places, labels = scene(near, motion, camera, relief=0.0)
-        assert judge_by_depth(places, labels, young, set(), SCENE, SHAPE, config) == (static, set())
+@pytest.mark.parametrize("near", [MIDDLE, CORNER, LEFT])
+def test_in_a_scene_with_depth_motion_tells_what_is_static(near: tuple[slice, slice], camera: Array) -> None:
+    assert weighed(*scene(near, STILL, camera)).motion[1] > 2.0
+    assert weighed(*scene(near, ITSELF, camera)).motion[1] < -1.5
 
 
 @pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
-def test_a_scene_with_depth_tells_static_things_anywhere(camera: Array) -> None:
-    config = LayersConfig()
-    for near, motion, static in (
-        (MIDDLE, STILL, {1}),
-        (CORNER, STILL, {1}),
-        (MIDDLE, ITSELF, set()),
-        (LEFT, ITSELF, set()),
-    ):
-        places, labels = scene(near, motion, camera)
-        for young in ({1}, set()):
-            assert judge_by_depth(places, labels, young, set(), SCENE, SHAPE, config) == (static, set())
-        assert judge_by_depth(places, labels, set(), {1}, SCENE, SHAPE, config) == (set(), set())
+def test_before_a_plane_motion_tells_hardly_anything(camera: Array) -> None:
+    for near in (MIDDLE, CORNER):
+        for motion in (STILL, ITSELF):
+            assert abs(weighed(*scene(near, motion, camera, relief=0.0)).motion[1]) <= 0.5
 
 
-@pytest.mark.parametrize("fitted", [1, 2])
-def test_what_the_matrix_of_half_of_the_background_contradicts_is_not_static(
-    fitted: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_background_may_be_a_small_piece_of_the_scene() -> None:
     places, labels = scene(MIDDLE, STILL, SIDEWAYS)
-    obeying, fits = rigid_scene._obeying, count()
+    x, y = places[0].positions.T
+    pieces = np.where(labels == 1, 1, 2 + (x // 160 + 4 * (y // 160)).astype(np.int64))
+    pieces[pieces == 2] = 0
+    assert min(weighed(places, pieces).motion.values()) > 2.0
+    places, _ = scene(MIDDLE, ITSELF, SIDEWAYS)
+    motion = weighed(places, pieces).motion
+    assert motion.pop(1) < -1.5
+    assert min(motion.values()) > 2.0
 
-    def one_contradicts(pairs: rigid_scene._Pairs, chosen: Array, *, in_front: bool = False) -> Array | None:
-        obeys = obeying(pairs, chosen, in_front=in_front)
-        assert obeys is not None
-        return obeys & (pairs.labels != 1) if next(fits) == fitted else obeys
 
-    monkeypatch.setattr(rigid_scene, "_obeying", one_contradicts)
-    assert judge_by_depth(places, labels, set(), set(), SCENE, SHAPE, LayersConfig()) == (set(), set())
-    assert next(fits) == fitted + 1
+def test_the_scene_is_not_fitted_to_objects() -> None:
+    large = (slice(60, 420), slice(100, 540))
+    places, labels = scene(large, ITSELF, SIDEWAYS)
+    labels[labels == 1] = np.where(places[0].positions[labels == 1, 0] < 320, 1, 2)
+    assert weighed(places, labels, objects={1, 2}).motion[1] < -1.5
 
 
 def test_what_keeps_pace_with_a_driving_camera_is_behind_infinity() -> None:
-    for speed, static in ((0.0, {1}), (1.5, set())):  # x the camera's
-        places, labels = scene(MIDDLE, speed * FORWARDS, FORWARDS)
-        assert judge_by_depth(places, labels, {1}, set(), SCENE, SHAPE, LayersConfig()) == (static, set())
+    assert weighed(*scene(MIDDLE, 1.5 * FORWARDS, FORWARDS)).motion[1] < -1.5
 
 
-@pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
-def test_what_no_depth_explains_moves_by_itself(camera: Array) -> None:
-    config = LayersConfig()
-    places, labels = scene(MIDDLE, ITSELF, camera)
-    assert judge_by_depth(places, labels, {1}, {1}, SCENE, SHAPE, config) == (set(), {1})
-    assert judge_by_depth(places, labels, {1}, set(), SCENE, SHAPE, config) == (set(), set())
-    assert judge_by_depth(places, labels, set(), {1}, SCENE, SHAPE, config) == (set(), set())
-    places, labels = scene(MIDDLE, STILL, camera)
-    assert judge_by_depth(places, labels, {1}, {1}, SCENE, SHAPE, config) == (set(), set())
+def test_trajectories_that_are_younger_are_judged_by_newer_pictures() -> None:
+    (now, before), labels = scene(MIDDLE, STILL, SIDEWAYS)
+    old = Places(before.ids[labels[before.ids] == 0], before.positions[labels[before.ids] == 0])
+    assert 1 not in weighed([now, old], labels).motion
+    for newer in ([before, old, old], [old, before, old]):
+        assert weighed([now, *newer], labels).motion[1] > 2.0
 
 
-def test_without_a_background_nothing_contradicts_the_scene() -> None:
-    places, labels = scene(LEFT, ITSELF, SIDEWAYS)
-    labels[labels == 0] = 2
-    assert judge_by_depth(places, labels, {1}, {1}, SCENE, SHAPE, LayersConfig()) == ({1}, set())
+def test_what_reaches_out_of_the_frame_is_rather_static() -> None:
+    surrounded, reaching = (weighed(*scene(near, STILL, SIDEWAYS)).standing[1] for near in (MIDDLE, LEFT))
+    assert surrounded < reaching - 2.0
+
+
+def test_the_scene_ends_where_the_picture_is_fixed() -> None:
+    places, labels = scene((slice(200, 380), slice(150, 490)), STILL, SIDEWAYS)
+    bonnet = SCENE.copy()
+    bonnet[95:] = True
+    assert weighed(places, labels, bonnet).standing[1] > weighed(places, labels).standing[1] + 1.0
+
+
+def test_what_is_slow_or_stands_in_a_scene_with_depth_is_rather_static() -> None:
+    places, labels = scene(MIDDLE, STILL, SIDEWAYS)
+    standing = [weighed(places, labels, speed=speed).standing[1] for speed in (0.3, 1.0, 3.0, 16.0)]
+    assert standing == sorted(standing, reverse=True)
+    planar = weighed(*scene(MIDDLE, STILL, SIDEWAYS, relief=0.0)).standing[1]
+    assert planar < weighed(places, labels).standing[1] - 1.0
+
+
+def test_without_a_scene_nothing_is_known_of_motions() -> None:
+    places, labels = scene(LEFT, STILL, SIDEWAYS)
+    assert weighed([places[0]], labels).motion == {}
+    generator = np.random.default_rng(2)
+    moved = places[1].positions + generator.normal(0, 40, places[1].positions.shape).astype(np.float32)
+    assert weighed([places[0], Places(places[1].ids, moved)], labels).motion == {1: 0.0}

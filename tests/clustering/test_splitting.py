@@ -233,20 +233,15 @@ def test_a_young_trajectory_is_as_fast_as_the_frames_it_has_lived() -> None:
     assert label_speeds(residual_speed(state, LAYERS.speed_frames), np.array([2]))[2] == pytest.approx(3.0)
 
 
-def test_what_counts_as_moving_grows_with_the_camera_and_with_what_it_leaves_unexplained() -> None:
-    def least(camera: float, residual: float) -> float:
-        state = trajectories(np.full((20, 2), (camera, 0.0)), np.full((20, 4, 2), (0.0, residual)))
-        labels = np.full(20, BACKGROUND)
-        return least_object_speed(
-            state, labels, label_speeds(residual_speed(state, LAYERS.speed_frames), labels), LAYERS, 1.0
-        )
+def test_what_counts_as_moving_grows_with_the_camera_s_own_motion() -> None:
+    def least(camera: float, label: int = BACKGROUND, scale: float = 1.0) -> float:
+        state = trajectories(np.full((20, 2), (camera, 0.0)), np.zeros((20, 4, 2)))
+        return least_object_speed(state, np.full(20, label), LAYERS, scale)
 
-    floor = least(0.0, 0.0)
+    floor = least(0.0)
     assert floor > 0
-    assert least(200.0, 0.0) > least(100.0, 0.0) > floor
-    assert least(0.0, 20.0) > least(0.0, 10.0) > floor
-    state = trajectories(np.full((20, 2), 50.0), np.zeros((20, 4, 2)))
-    assert least_object_speed(state, np.ones(20, np.int64), {1: 9.0}, LAYERS, 2.0) == pytest.approx(2 * floor)
+    assert least(200.0) > least(100.0) > floor
+    assert least(50.0, label=1, scale=2.0) == pytest.approx(2 * floor)
 
 
 # The scene
