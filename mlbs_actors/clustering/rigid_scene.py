@@ -3,16 +3,16 @@
 Not in the paper, which has no camera model. A homography (:mod:`mlbs_actors.tracking.camera`) stands for the
 camera's motion here, and what is nearer than the plane that it describes moves against it: a post, a rock, a
 wall, a guard rail. Over some frames one essential matrix explains all that is static, with a depth for each
-point. It is fitted to the trajectories of *all* labels that may be static, and not to the background's only:
-where a scene has much depth, the background of the first clustering is a piece of it.
+point. Such a matrix is fitted to the trajectories of *all* labels that may be static, and not to the
+background's only: where a scene has much depth, the background of the first clustering is a piece of it.
 
 Nothing here decides. Each sign is a log-likelihood ratio that was measured (docs/experiments/camera.md), that
 a label is static and not moving by itself:
 
 * *Its motion.* The share of its trajectories that obey the matrix, in front of the camera. It says the more,
   the better the matrix explains the others than a homography does: before a plane it is arbitrary, and bends
-  to whatever moves evenly. So the matrices of each half of the points are asked, too, and the more depth the
-  others have, the more is a label that covers much judged by the matrix of these alone.
+  to whatever moves evenly. So matrices of a quarter of the points each are asked, and the more depth the
+  others have, the more is a label that covers much judged by the matrices of these alone.
 * *Where it lies.* Of the outline of near parts of the scene a part is the frame's border; an object is mostly
   surrounded.
 * *Its speed* against the homography.
@@ -51,8 +51,10 @@ INLIER_PX, INLIER_RELATIVE, MOST_PARALLAX_PX = 1.0, 0.02, 50.0
 PLANE_PX = 1.5
 #: What is static has at most so many px of parallax towards the wrong side.
 BEHIND_PX = 2.0
-#: Fewest points that a matrix is fitted to, and their spacing, px.
-LEAST_POINTS, SPACING_PX = 20, 20.0
+#: Fewest points to which matrices are fitted, into how many parts they are divided, and their spacing, px.
+LEAST_POINTS, PARTS, SPACING_PX = 20, 4, 20.0
+#: So many of them tell on which side of the camera they are.
+SIDE_POINTS = 50
 #: Side of the squares of which an outline is made, px, and fewest of them.
 SQUARE_PX, LEAST_SQUARES = 24.0, 4
 #: A square of which so much is fixed in the picture shows none of the scene.
@@ -201,10 +203,10 @@ class _Fit:
 
     Attributes
     ----------
-    explained : (m,) bool
-        Whether the essential matrix explains a trajectory.
+    explained : (m,) float64
+        The share of the matrices, one of each part of the points, that explain a trajectory.
     obeying : (m,) float64
-        The share of the three matrices, of all points and of each half, by which it is static.
+        The share of those by which it is static.
     flat : (m,) bool
         Whether the homography explains it.
     """
@@ -219,11 +221,12 @@ class _Fit:
         if len(points) < LEAST_POINTS:
             return None
         flat = _on_plane(pairs, points)
-        scenes = [_in_scene(pairs, some) for some in (points, points[::2], points[1::2])]
+        scenes = [_in_scene(pairs, points[first::PARTS]) for first in range(PARTS)]
         found = [one for one in scenes if one is not None]
         if flat is None or len(found) < len(scenes):
             return None
-        return cls(found[0][0], np.mean([static for _, static in found], axis=0), flat)
+        explained, static = (np.mean(one, axis=0) for one in zip(*found, strict=True))
+        return cls(explained, static, flat)
 
     def holds(self, points: Array, config: LayersConfig) -> bool:
         """Whether the matrix explains trajectories (k,) as a whole."""
@@ -375,7 +378,9 @@ def _in_scene(pairs: _Pairs, chosen: Array) -> tuple[Array, Array] | None:
         return None
     if essential is None or essential.shape != (3, 3):
         return None
-    _, rotation, translation, _ = cv2.recoverPose(essential, ends, starts, pairs.camera, mask=inliers)
+    some = np.flatnonzero(inliers)
+    some = some[:: 1 + len(some) // SIDE_POINTS]
+    _, rotation, translation, _ = cv2.recoverPose(essential, ends[some], starts[some], pairs.camera)
     # Where points at infinity would have come from, and which way nearer ones did.
     turned = pairs.camera @ rotation @ np.linalg.inv(pairs.camera)
     farthest = cv2.perspectiveTransform(pairs.now[None], turned)[0]
