@@ -276,10 +276,9 @@ class Coordinator:
         for scene in state.left:
             flow = estimate_flow(scene.view, picture, side, config, None, self.flow)
             if found_again(flow, scene.view.gray, picture.gray) >= LEAST_FOUND:
-                lost = moved_registry(scene, flow)
-                if lost is not None:
-                    state.registry = state.registry.with_lost(lost)
-                    state.left = tuple(one for one in state.left if one is not scene)
+                lost = moved_registry(scene, flow, length_scale(*state.shape), config.trajectories)
+                state.registry = state.registry.with_lost(lost)
+                state.left = tuple(one for one in state.left if one is not scene)
 
     def _take_or_pass_over(
         self, new: NewFrame, feedback: Callable[[], Segmentation] | None, stage_ms: dict[str, float]

@@ -14,18 +14,16 @@ import cv2
 import numpy as np
 
 from mlbs_actors.clustering.registry_state import RegistryState
+from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.flow.estimate import Picture
-from mlbs_actors.messages import BACKGROUND, Array
+from mlbs_actors.messages import BACKGROUND
+from mlbs_actors.tracking.camera import camera_homography
 
 __all__ = ["LeftScene", "moved_registry"]
 
 #: From one cell whose flow tells the camera's motion to the next.
 STEP = 6
-#: Distance within which a cell's flow obeys the camera's motion, px.
-OBEYING_PX = 3.0
-#: Fewer cells do not tell it.
-LEAST_CELLS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +45,9 @@ class LeftScene:
     registry: RegistryState
 
 
-def moved_registry(scene: LeftScene, flow: DenseFlow) -> RegistryState | None:
+def moved_registry(
+    scene: LeftScene, flow: DenseFlow, scale: float, config: TrajectoriesConfig
+) -> RegistryState:
     """Return the objects of a scene where the camera's motion has taken them.
 
     Parameters
@@ -55,22 +55,20 @@ def moved_registry(scene: LeftScene, flow: DenseFlow) -> RegistryState | None:
     scene : LeftScene
     flow : DenseFlow
         From its view to the picture in which that was found again.
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    config : TrajectoriesConfig
 
     Returns
     -------
-    RegistryState or None
-        Without candidates; None if the flow does not tell the camera's motion.
+    RegistryState
+        Without candidates.
     """
     reliable = flow.backward_reliable[::STEP, ::STEP]
-    y, x = np.nonzero(reliable)
-    if len(x) < LEAST_CELLS:
-        return None
-    now = np.stack([x, y], axis=1) * np.float32(STEP * flow.side)
-    before = now + flow.backward[::STEP, ::STEP][reliable]
-    camera, _ = cv2.findHomography(before, now, cv2.USAC_MAGSAC, OBEYING_PX)
-    if camera is None:
-        return None
+    cells = np.stack(np.nonzero(reliable)[::-1], axis=1).astype(np.float32) * np.float32(STEP * flow.side)
+    camera = camera_homography(cells, flow.backward[::STEP, ::STEP][reliable], scale, config)
     objects = scene.registry.select(scene.registry.labels > BACKGROUND)
-    places: Array = objects.centroids.reshape(-1, 1, 2)
-    moved = cv2.perspectiveTransform(places, camera).reshape(-1, 2) if len(places) else objects.centroids
+    if not len(objects.labels):
+        return objects
+    moved = cv2.perspectiveTransform(objects.centroids[None], np.linalg.inv(camera))[0]
     return replace(objects, centroids=moved)
