@@ -74,11 +74,11 @@ def cluster(
         speeds = label_speeds(speed, split)
         least = least_object_speed(state.trajectories, split, config.layers, length_scale(*state.shape))
         relative = {label: one / least for label, one in speeds.items()}
-        proven = {label for label in speeds if ages.get(label, 0) >= config.layers.young_frames}
+        young = {label for label in speeds if ages.get(label, 0) < config.layers.young_frames}
         scene = scene_evidence(
             state.places,
             split,
-            proven - {BACKGROUND},
+            speeds.keys() - young - {BACKGROUND},
             relative,
             state.fixed.cells,
             state.shape,
@@ -88,7 +88,8 @@ def cluster(
             graph, split, state.trajectories.positions, registry.origins() | origins, scene.motion, config
         )
         odds = {label: one - repulsion.between(BACKGROUND, label) for label, one in scene.standing.items()}
-        speeds = _judged(state, registry, split, origins, ages, speeds, least, odds, config)
+        young -= registry.parts() | {new for new, origin in origins.items() if origin > BACKGROUND}
+        speeds = _judged(state, registry, split, young, speeds, least, odds, config)
         registry.judge(speeds, least)
         labels = merge_by_motion(graph, split, ages, speeds, least, config.layers, repulsion)
         gone = set(speeds) - distinct_labels(labels)
@@ -165,8 +166,7 @@ def _judged(
     state: CoordinatorState,
     registry: LayerRegistry,
     labels: Array,
-    origins: dict[int, int],
-    ages: dict[int, int],
+    young: set[int],
     speeds: dict[int, float],
     least: float,
     odds: dict[int, float],
@@ -175,15 +175,13 @@ def _judged(
     """Return how fast each label moves by itself, px/frame.
 
     That is its speed, but 0 for what is more likely static by its log-odds, and at least ``least``, the speed
-    of an object, for a young label that is not, and no part of an object.
+    of an object, for a label of ``young`` that is not: one that is no part of an object.
     """
     assert state.shape is not None
     layers = registry.layer_labels()
     static = {
         one for one, weight in odds.items() if weight > (config.layers.scene_odds if one in layers else 0)
     }
-    parts = registry.parts() | {new for new, origin in origins.items() if origin > BACKGROUND}
-    young = {one for one in odds if ages.get(one, 0) < config.layers.young_frames} - parts
     moving = dict.fromkeys(young - static, least)
     if state.clustered:
         spacing = config.trajectories.seed_spacing_px * length_scale(*state.shape)

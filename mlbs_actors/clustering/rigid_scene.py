@@ -31,11 +31,12 @@ import cv2
 import numpy as np
 
 from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
+from mlbs_actors.clustering.outline import border_share, scene_squares, taken_squares
 from mlbs_actors.config import LayersConfig, length_scale
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.tracking.trajectories import evenly_spread
 
-__all__ = ["Places", "SceneEvidence", "border_share", "scene_evidence", "scene_squares", "taken_squares"]
+__all__ = ["Places", "SceneEvidence", "scene_evidence"]
 
 #: Places, ascending, and values of a curve that is linear in between.
 _Curve = tuple[tuple[float, ...], tuple[float, ...]]
@@ -55,10 +56,6 @@ BEHIND_PX = 2.0
 LEAST_POINTS, PARTS, SPACING_PX = 20, 4, 20.0
 #: So many of them tell on which side of the camera they are.
 SIDE_POINTS = 50
-#: Side of the squares of which an outline is made, px, and fewest of them.
-SQUARE_PX, LEAST_SQUARES = 24.0, 4
-#: A square of which so much is fixed in the picture shows none of the scene.
-MOST_FIXED = 0.5
 #: From this share of the points on, a label is large, and bends a matrix that is fitted to it.
 LARGE = 0.05
 # Log-likelihood ratios, nats.
@@ -153,13 +150,17 @@ def scene_evidence(
         for label in judged
     }
     motion, priors = dict[int, float](), dict.fromkeys(judged, UNKNOWN_PRIOR)
+    least = {label: max(config.min_tracks, np.count_nonzero(labels == label) / 2) for label in judged}
     oldest = len(places) - 1
     for frames in (one for one in (oldest, 2, 1) if 0 < one <= oldest):
+        if len(motion) == len(judged):
+            break
         pairs = _Pairs.between(places[frames], places[0], labels, shape)
-        least = {label: max(config.min_tracks, np.count_nonzero(labels == label) / 2) for label in judged}
         known = [one for one in judged if one not in motion and pairs.count(one) >= least[one]]
+        if not known:
+            continue
         points = pairs.spread(distinct_labels(pairs.labels) - set(objects), SPACING_PX)
-        fit = _Fit.to(pairs, points) if known else None
+        fit = _Fit.to(pairs, points)
         if fit is not None and frames == oldest and fit.holds(points, config):
             priors = dict.fromkeys(judged, fit.prior(points))
         motion |= dict.fromkeys(known, 0.0)
@@ -247,11 +248,7 @@ class _Fit:
         if len(others) < LEAST_POINTS or not self.holds(others, config):
             return None
         share = _curve(float(self.obeying[pairs.labels == label].mean()), OBEYING)
-        return (
-            share * _curve(self.depth(others), highest)
-            if share > 0
-            else -share * _curve(self.depth(others), lowest)
-        )
+        return abs(share) * _curve(self.depth(others), highest if share > 0 else lowest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,68 +287,6 @@ class _Pairs:
         """Return indices (k,) of trajectories of some labels, at most one a square."""
         chosen = np.isin(self.labels, list(labels))
         return evenly_spread(self.now.astype(np.float32), chosen, spacing * self.scale)
-
-
-def taken_squares(positions: Array, shape: tuple[int, int]) -> Array:
-    """Squares of the frame that hold some trajectories.
-
-    Parameters
-    ----------
-    positions : (n, 2) float32
-        px.
-    shape : (int, int)
-        (H, W) of the frame.
-
-    Returns
-    -------
-    (rows, columns) bool
-    """
-    rows, columns = _squares_of(shape)
-    y = np.clip((positions[:, 1] * rows / shape[0]).astype(np.intp), 0, rows - 1)
-    x = np.clip((positions[:, 0] * columns / shape[1]).astype(np.intp), 0, columns - 1)
-    taken = np.zeros((rows, columns), bool)
-    taken[y, x] = True
-    return taken
-
-
-def scene_squares(fixed: Array, shape: tuple[int, int]) -> Array:
-    """Squares of the frame that show the scene, (rows, columns) bool; parameters as of `judge_by_depth`."""
-    rows, columns = _squares_of(shape)
-    share = cv2.resize(fixed.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
-    return np.asarray(share < MOST_FIXED)
-
-
-def _squares_of(shape: tuple[int, int]) -> tuple[int, int]:
-    """Rows and columns of squares in a frame."""
-    side = SQUARE_PX * length_scale(*shape)
-    rows, columns = (max(round(length / side), 3) for length in shape)
-    return rows, columns
-
-
-def border_share(taken: Array, scene: Array) -> float:
-    """Share of an outline that is the border of what shows the scene.
-
-    Parameters
-    ----------
-    taken, scene : (rows, columns) bool
-        Of :func:`taken_squares` and :func:`scene_squares`.
-
-    Returns
-    -------
-    float
-        0 to 1, of the taken squares that are not surrounded by such; 0 if those are few.
-    """
-    outline = taken & ~_surrounded(taken)
-    if outline.sum() < LEAST_SQUARES:
-        return 0.0
-    return float((outline & ~_surrounded(scene)).sum() / outline.sum())
-
-
-def _surrounded(squares: Array) -> Array:
-    """Which squares have all four beside them in the frame, and such as they are."""
-    inner = np.zeros_like(squares)
-    inner[1:-1, 1:-1] = squares[:-2, 1:-1] & squares[2:, 1:-1] & squares[1:-1, :-2] & squares[1:-1, 2:]
-    return squares & inner
 
 
 def _in_scene(pairs: _Pairs, chosen: Array) -> tuple[Array, Array] | None:

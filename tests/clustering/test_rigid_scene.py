@@ -7,15 +7,8 @@ from collections.abc import Collection
 import numpy as np
 import pytest
 
-from mlbs_actors.clustering.rigid_scene import (
-    FOCAL,
-    Places,
-    SceneEvidence,
-    border_share,
-    scene_evidence,
-    scene_squares,
-    taken_squares,
-)
+from mlbs_actors.clustering.outline import border_share, scene_squares, taken_squares
+from mlbs_actors.clustering.rigid_scene import FOCAL, Places, SceneEvidence, scene_evidence
 from mlbs_actors.config import LayersConfig
 from mlbs_actors.messages import Array
 
