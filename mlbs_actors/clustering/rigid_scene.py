@@ -311,7 +311,7 @@ def _in_scene(pairs: _Pairs, chosen: Array) -> tuple[Array, Array] | None:
         )
     except cv2.error:  # with points in random motion OpenCV may find no matrix, and fail on that
         return None
-    if essential is None or essential.shape != (3, 3):
+    if essential is None or essential.shape != (3, 3) or not inliers.any():
         return None
     some = np.flatnonzero(inliers)
     some = some[:: 1 + len(some) // SIDE_POINTS]

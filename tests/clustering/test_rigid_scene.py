@@ -142,3 +142,12 @@ def test_without_a_scene_nothing_is_known_of_motions() -> None:
     generator = np.random.default_rng(2)
     moved = places[1].positions + generator.normal(0, 40, places[1].positions.shape).astype(np.float32)
     assert weighed([places[0], Places(places[1].ids, moved)], labels).motion == {1: 0.0}
+
+
+def test_while_nothing_moves_at_all_nothing_is_known_of_motions() -> None:
+    generator = np.random.default_rng(3)
+    for _ in range(30):  # OpenCV 4.10 finds none, any or one that holds no numbers, by chance
+        positions = (generator.uniform(size=(800, 2)) * SHAPE[::-1]).astype(np.float32)
+        now = Places(np.arange(800), positions)
+        motion = weighed([now, now], (positions[:, 0] > 500).astype(np.int64)).motion
+        assert motion.get(1, 0.0) == pytest.approx(0.0, abs=0.5)
