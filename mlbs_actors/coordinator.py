@@ -30,7 +30,7 @@ from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.clustering.layer_registry import LayerRegistry
 from mlbs_actors.clustering.left_scenes import LeftScene, moved_registry
 from mlbs_actors.clustering.registry_state import RegistryState
-from mlbs_actors.clustering.rigid_scene import Places
+from mlbs_actors.clustering.two_views import Places
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.coordinator_labels import cluster, observe
 from mlbs_actors.coordinator_state import CoordinatorState, NewFrame, UnsettledFrame
@@ -359,6 +359,8 @@ class Coordinator:
             trajectories, camera = tracked.trajectories, tracked.camera
             labels = np.full(len(trajectories), UNLABELLED, np.int64)
             labels[: len(tracked.survivors)] = state.labels[tracked.survivors]
+            static = np.full(len(trajectories), np.nan, np.float32)
+            static[: len(tracked.survivors)] = state.static[tracked.survivors]
             spread = displacement_spread(trajectories, config.affinity, length_scale(*state.shape))
             spreads = np.concatenate([[spread], state.spreads])[: config.trajectories.history_frames]
 
@@ -377,7 +379,8 @@ class Coordinator:
         if match.whole:
             state.view = picture
         state.fixed = tracked.fixed
-        state.trajectories, state.labels, state.spreads = trajectories, labels, spreads
+        state.trajectories, state.labels, state.static = trajectories, labels, static
+        state.spreads = spreads
         newest = Places(trajectories.ids, trajectories.positions)
         state.places = (newest, *state.places)[: config.layers.scene_frames + 1]
         if not match.told and self._clustering_due(frame_index) and not state.clustered:

@@ -21,6 +21,7 @@ from mlbs_actors.clustering.reidentification import colours_at
 from mlbs_actors.clustering.rigid_scene import scene_evidence
 from mlbs_actors.clustering.splitting import (
     background_first,
+    background_kept,
     bled_trajectories,
     label_speeds,
     least_object_speed,
@@ -78,16 +79,19 @@ def cluster(
         scene = scene_evidence(
             state.places,
             split,
-            speeds.keys() - young - {BACKGROUND},
+            registry.known_labels(),
             relative,
             state.fixed.cells,
             state.shape,
+            state.focal_length,
             config.layers,
         )
+        state.focal_length = scene.focal_length
+        state.static = scene.gathered(state.static, split, config.identity)
+        odds = scene.odds(state.static, split)
         repulsion = state.repulsion.gathered(
-            graph, split, state.trajectories.positions, registry.origins() | origins, scene.motion, config
+            graph, split, state.trajectories.positions, registry.origins() | origins, config
         )
-        odds = {label: one - repulsion.between(BACKGROUND, label) for label, one in scene.standing.items()}
         young -= registry.parts() | {new for new, origin in origins.items() if origin > BACKGROUND}
         speeds = _judged(state, registry, split, young, speeds, least, odds, config)
         registry.judge(speeds, least)
@@ -159,7 +163,10 @@ def _split(
     fresh = max(registry.state.next_layer, int(carried.max(initial=0)) + 1)
     labels, firm = split_labels(affinity, carried, config.affinity, fresh, bled, registry.spared_labels())
     registry.spare(firm)
-    return labels, split_origins(carried, labels)
+    origins = split_origins(carried, labels)
+    parts = {label for label, origin in origins.items() if origin == BACKGROUND}
+    spacing = config.trajectories.seed_spacing_px * scale
+    return background_kept(labels, parts, state.trajectories, scale, spacing), origins
 
 
 def _judged(

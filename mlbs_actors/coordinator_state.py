@@ -9,7 +9,7 @@ import numpy as np
 from mlbs_actors.clustering.left_scenes import LeftScene
 from mlbs_actors.clustering.registry_state import RegistryState
 from mlbs_actors.clustering.repulsion import Repulsion
-from mlbs_actors.clustering.rigid_scene import Places
+from mlbs_actors.clustering.two_views import FocalLength, Places
 from mlbs_actors.config import Config
 from mlbs_actors.flow.estimate import Picture
 from mlbs_actors.footage.fixed import FixedState
@@ -94,6 +94,11 @@ class CoordinatorState:
     trajectories : TrajectoryState
     labels : (n,) int64
         Label of each live trajectory after the last frame.
+    static : (n,) float32
+        Log-odds, gathered over its life, that each is a part of the scene, by its motion, nats; NaN where
+        nothing is known.
+    focal_length : FocalLength
+        Of the camera.
     places : tuple of Places
         Where the trajectories were in the last pictures, newest first.
     spreads : (T,) float64
@@ -129,6 +134,8 @@ class CoordinatorState:
     focus: Array
     trajectories: TrajectoryState
     labels: Array
+    static: Array
+    focal_length: FocalLength
     places: tuple[Places, ...]
     spreads: Array
     registry: RegistryState
@@ -158,6 +165,8 @@ class CoordinatorState:
             focus=np.zeros((0, 0), bool),
             trajectories=empty_trajectories(config.trajectories),
             labels=np.zeros(0, np.int64),
+            static=np.zeros(0, np.float32),
+            focal_length=FocalLength(),
             places=(),
             spreads=np.zeros(0),
             registry=RegistryState.empty(),

@@ -109,6 +109,10 @@ class LayerRegistry:
         """Return the labels that are layers, awake or asleep."""
         return set(self.state.labels[self.state.labels > BACKGROUND].tolist())
 
+    def known_labels(self) -> set[int]:
+        """Return the labels of all layers and candidates."""
+        return set(self.state.labels.tolist())
+
     def parts(self) -> set[int]:
         """Return the labels that were split off an object, or have appeared on one."""
         return set(self.origins())
@@ -169,7 +173,7 @@ class LayerRegistry:
 
     def unknown(self, labels: Array) -> set[int]:
         """Return the labels among ``labels`` (n,) int64 that are new."""
-        return distinct_labels(labels) - set(self.state.labels.tolist()) - {BACKGROUND, UNLABELLED}
+        return distinct_labels(labels) - self.known_labels() - {BACKGROUND, UNLABELLED}
 
     def admit(self, labels: Array, frame_index: int, origins: Mapping[int, int]) -> Array:
         """Replace the labels that are new since the last frame by candidate labels.

@@ -57,9 +57,7 @@ class Repulsion:
         """Return the pairs of these layers whose log-odds are above ``least``, the lower one first."""
         rows = zip(self.pairs.tolist(), self.odds.tolist(), strict=True)
         return tuple(
-            (one, other)
-            for (one, other), odds in rows
-            if odds > least and one in layers and other in layers and BACKGROUND not in (one, other)
+            (one, other) for (one, other), odds in rows if odds > least and one in layers and other in layers
         )
 
     def matrix(self, known: Array) -> Array:
@@ -94,7 +92,6 @@ class Repulsion:
         labels: Array,
         positions: Array,
         origins: Mapping[int, int],
-        static: Mapping[int, float],
         config: Config,
     ) -> Repulsion:
         """Add the evidence of a clustering.
@@ -108,8 +105,6 @@ class Repulsion:
             Of the trajectories, px.
         origins : mapping of int to int
             Label → the object that it was split off or has appeared on.
-        static : mapping of int to float
-            Label → log-likelihood ratio that it is static, and so one thing with the background, nats.
         config : Config
         """
         settings = config.identity
@@ -135,16 +130,12 @@ class Repulsion:
                 far = settings.gap_slope * max(gap - settings.free_gap, 0.0)
                 pair = min(label, origin), max(label, origin)
                 evidence[pair] = evidence.get(pair, 0.0) + far
-        for label, one in static.items():
-            evidence[min(label, BACKGROUND), max(label, BACKGROUND)] = -one
         odds = {
             (one, other): settings.fading * value
             for (one, other), value in zip(self.pairs.tolist(), self.odds.tolist(), strict=True)
         }
         for pair, term in evidence.items():
-            # Whether a new label is static is decided at once, by all that is known.
-            weight = 1.0 if BACKGROUND in pair and pair not in odds else settings.weight
-            odds[pair] = odds.get(pair, 0.0) + weight * settings.bounded(term)
+            odds[pair] = odds.get(pair, 0.0) + settings.weight * settings.bounded(term)
         pairs = np.array(sorted(odds), np.int64).reshape(-1, 2)
         return Repulsion(pairs, np.array([odds[one, other] for one, other in pairs.tolist()]))
 

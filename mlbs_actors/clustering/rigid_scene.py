@@ -18,7 +18,8 @@ a label is static and not moving by itself:
 * *Its speed* against the homography.
 * *The scene.* The less of the others one plane explains, the more labels are parts of it.
 
-The focal length is taken to be ``FOCAL`` of the longer side.
+What motion tells is gathered over the lives of the trajectories, not of the labels: a piece of the scene that
+is cut off the background at one clustering, and joins it again, is another label at the next.
 """
 
 from __future__ import annotations
@@ -27,35 +28,21 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from mlbs_actors.clustering.label_index import UNLABELLED, distinct_labels
 from mlbs_actors.clustering.outline import border_share, scene_squares, taken_squares
-from mlbs_actors.config import LayersConfig, length_scale
+from mlbs_actors.clustering.two_views import FocalLength, Pairs, Places, in_scene, on_plane
+from mlbs_actors.config import IdentityConfig, LayersConfig
 from mlbs_actors.messages import BACKGROUND, Array
-from mlbs_actors.tracking.trajectories import evenly_spread
 
-__all__ = ["Places", "SceneEvidence", "scene_evidence"]
+__all__ = ["SceneEvidence", "scene_evidence"]
 
 #: Places, ascending, and values of a curve that is linear in between.
 _Curve = tuple[tuple[float, ...], tuple[float, ...]]
 
-#: Focal length, × the longer side of the frame.
-FOCAL = 1.1
-#: Confidence that the best matrix was found, and most samples drawn for it.
-CONFIDENCE, MOST_SAMPLES = 0.999, 1000
-#: Distance to the epipolar line of a point that obeys, px, and what is added to it, × its parallax; to be
-#: static, no more than that of so much parallax, px.
-INLIER_PX, INLIER_RELATIVE, MOST_PARALLAX_PX = 1.0, 0.02, 50.0
-#: Distance within which a homography explains a point, px: errors along the line count as well.
-PLANE_PX = 1.5
-#: What is static has at most so many px of parallax towards the wrong side.
-BEHIND_PX = 2.0
 #: Fewest points to which matrices are fitted, into how many parts they are divided, and their spacing, px.
 LEAST_POINTS, PARTS, SPACING_PX = 20, 4, 20.0
-#: So many of them tell on which side of the camera they are.
-SIDE_POINTS = 50
 #: From this share of the points on, a label is large, and bends a matrix that is fitted to it.
 LARGE = 0.05
 # Log-likelihood ratios, nats.
@@ -79,22 +66,6 @@ PRIOR, UNKNOWN_PRIOR = ((0.66, 0.97), (1.0, -1.8)), -0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
-    """Where the trajectories were in one picture.
-
-    Attributes
-    ----------
-    ids : (n,) int64
-        Ascending.
-    positions : (n, 2) float32
-        px.
-    """
-
-    ids: Array
-    positions: Array
-
-
-@dataclass(frozen=True, slots=True)
 class SceneEvidence:
     """How likely labels are static, in nats: positive for a part of the scene.
 
@@ -105,10 +76,54 @@ class SceneEvidence:
         known. It is worth gathering: every clustering sees other pictures.
     standing : dict of int to float
         Label → log-odds by all else, which changes little from one clustering to the next.
+    focal_length : FocalLength
+        As rated by the last pictures, too.
     """
 
     motion: dict[int, float]
     standing: dict[int, float]
+    focal_length: FocalLength
+
+    def gathered(self, static: Array, labels: Array, config: IdentityConfig) -> Array:
+        """Add the evidence of motion to what is known of each trajectory.
+
+        Parameters
+        ----------
+        static : (n,) float32
+            Log-odds by motion that each is static, nats; NaN where nothing is known.
+        labels : (n,) int64
+        config : IdentityConfig
+
+        Returns
+        -------
+        (n,) float32
+        """
+        static = static.copy()
+        for label, odds in self.motion.items():
+            own = labels == label
+            before = static[own]
+            known = np.isfinite(before)
+            if known.any():
+                before[~known] = before[known].mean()
+                static[own] = config.fading * before + config.weight * odds
+            else:  # a label of which nothing is known is decided on at once, by all that there is
+                static[own] = odds
+        return static
+
+    def odds(self, static: Array, labels: Array) -> dict[int, float]:
+        """Return the log-odds that each label is static, by all that is known.
+
+        Parameters
+        ----------
+        static : (n,) float32
+            From :meth:`gathered`.
+        labels : (n,) int64
+        """
+        odds = {}
+        for label, standing in self.standing.items():
+            known = static[(labels == label) & np.isfinite(static)]
+            odds[label] = standing + (float(known.mean()) if known.size else 0.0)
+        return odds
 
 
 def scene_evidence(
@@ -118,6 +133,7 @@ def scene_evidence(
     speeds: Mapping[int, float],
     fixed: Array,
     shape: tuple[int, int],
+    focal_length: FocalLength,
     config: LayersConfig,
 ) -> SceneEvidence:
     """Weigh for every label whether it is a part of one rigid scene.
@@ -130,13 +146,16 @@ def scene_evidence(
     labels : (n,) int64
         Of the newest.
     objects : collection of int
-        Labels that are known to move by themselves: the matrix is not fitted to them.
+        Labels that have been taken for objects: the matrices are not fitted to them.
     speeds : mapping of int to float
         Label → its speed against the homography, × the least one of an object.
     fixed : (h, w) bool
         Cells that are fixed in the picture: the scene ends at a bonnet as at the frame's border.
     shape : (int, int)
         (H, W) of the frame.
+    focal_length : FocalLength
+        As rated so far.
+    config : LayersConfig
 
     Returns
     -------
@@ -155,11 +174,14 @@ def scene_evidence(
     for frames in (one for one in (oldest, 2, 1) if 0 < one <= oldest):
         if len(motion) == len(judged):
             break
-        pairs = _Pairs.between(places[frames], places[0], labels, shape)
+        pairs = Pairs.between(places[frames], places[0], labels, shape)
         known = [one for one in judged if one not in motion and pairs.count(one) >= least[one]]
         if not known:
             continue
         points = pairs.spread(distinct_labels(pairs.labels) - set(objects), SPACING_PX)
+        if frames == oldest and len(points) >= LEAST_POINTS:
+            focal_length = focal_length.rated(pairs, points, points[::PARTS])
+        pairs = pairs.seen_with(focal_length.best)
         fit = _Fit.to(pairs, points)
         if fit is not None and frames == oldest and fit.holds(points, config):
             priors = dict.fromkeys(judged, fit.prior(points))
@@ -171,7 +193,8 @@ def scene_evidence(
                 motion[label] = odds
                 if frames == oldest:
                     priors[label] = fit.prior(others)
-    return SceneEvidence(motion, {label: standing[label] + priors[label] for label in judged})
+    standing = {label: standing[label] + priors[label] for label in judged}
+    return SceneEvidence(motion, standing, focal_length)
 
 
 def _standing(own: Array, positions: Array, speed: float, scene: Array, shape: tuple[int, int]) -> float:
@@ -184,18 +207,16 @@ def _standing(own: Array, positions: Array, speed: float, scene: Array, shape: t
 
 
 def _motion_odds(
-    fit: _Fit, pairs: _Pairs, label: int, others: Array, points: Array, config: LayersConfig
+    fit: _Fit, pairs: Pairs, label: int, others: Array, points: Array, config: LayersConfig
 ) -> float | None:
     """Return the log-likelihood ratio of a label's motion; None if no matrix holds for the others (k,)."""
     if len(others) > (1 - LARGE) * len(points):
         return fit.odds(pairs, label, others, LOWEST, HIGHEST, config)
     odds = fit.odds(pairs, label, others, LARGE_LOWEST, LARGE_HIGHEST, config)
-    theirs = _Fit.to(pairs, others)
+    weight = 0.0 if odds is None else _curve(fit.depth(others), OTHERS_WEIGHT)
+    theirs = _Fit.to(pairs, others) if weight > 0 else None
     alone = None if theirs is None else theirs.odds(pairs, label, others, LOWEST, HIGHEST, config)
-    if theirs is None or alone is None or odds is None:
-        return odds if alone is None else alone
-    weight = _curve(theirs.depth(others), OTHERS_WEIGHT)
-    return weight * alone + (1 - weight) * odds
+    return odds if odds is None or alone is None else weight * alone + (1 - weight) * odds
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,12 +238,12 @@ class _Fit:
     flat: Array
 
     @classmethod
-    def to(cls, pairs: _Pairs, points: Array) -> _Fit | None:
+    def to(cls, pairs: Pairs, points: Array) -> _Fit | None:
         """Fit to trajectories (k,); None if they are too few or too irregular."""
         if len(points) < LEAST_POINTS:
             return None
-        flat = _on_plane(pairs, points)
-        scenes = [_in_scene(pairs, points[first::PARTS]) for first in range(PARTS)]
+        flat = on_plane(pairs, points)
+        scenes = [in_scene(pairs, points[first::PARTS]) for first in range(PARTS)]
         found = [one for one in scenes if one is not None]
         if flat is None or len(found) < len(scenes):
             return None
@@ -242,107 +263,13 @@ class _Fit:
         return _curve(float(self.flat[points].mean()), PRIOR)
 
     def odds(
-        self, pairs: _Pairs, label: int, others: Array, lowest: _Curve, highest: _Curve, config: LayersConfig
+        self, pairs: Pairs, label: int, others: Array, lowest: _Curve, highest: _Curve, config: LayersConfig
     ) -> float | None:
         """Return the log-likelihood ratio of a label's motion; None if the matrix fails for the others."""
         if len(others) < LEAST_POINTS or not self.holds(others, config):
             return None
         share = _curve(float(self.obeying[pairs.labels == label].mean()), OBEYING)
         return abs(share) * _curve(self.depth(others), highest if share > 0 else lowest)
-
-
-@dataclass(frozen=True, slots=True)
-class _Pairs:
-    """The trajectories that are in two pictures.
-
-    Attributes
-    ----------
-    now, before : (m, 2) float64
-        Their places, px.
-    labels : (m,) int64
-    camera : (3, 3) float64
-        Takes directions to px.
-    scale : float
-        :func:`~mlbs_actors.config.length_scale` of the frame.
-    """
-
-    now: Array
-    before: Array
-    labels: Array
-    camera: Array
-    scale: float
-
-    @classmethod
-    def between(cls, before: Places, now: Places, labels: Array, shape: tuple[int, int]) -> _Pairs:
-        _, at, there = np.intersect1d(now.ids, before.ids, assume_unique=True, return_indices=True)
-        focal = FOCAL * max(shape)
-        camera = np.array([[focal, 0, shape[1] / 2], [0, focal, shape[0] / 2], [0, 0, 1]])
-        ends, starts = now.positions[at].astype(np.float64), before.positions[there].astype(np.float64)
-        return cls(ends, starts, labels[at], camera, length_scale(*shape))
-
-    def count(self, label: int) -> int:
-        return int((self.labels == label).sum())
-
-    def spread(self, labels: Collection[int], spacing: float) -> Array:
-        """Return indices (k,) of trajectories of some labels, at most one a square."""
-        chosen = np.isin(self.labels, list(labels))
-        return evenly_spread(self.now.astype(np.float32), chosen, spacing * self.scale)
-
-
-def _in_scene(pairs: _Pairs, chosen: Array) -> tuple[Array, Array] | None:
-    """Tell which trajectories are parts of the rigid scene of some of them.
-
-    Parameters
-    ----------
-    pairs : _Pairs
-    chosen : (k,) intp
-
-    Returns
-    -------
-    explained : (m,) bool
-        Whether they obey the essential matrix. None in place of both if there is none.
-    static : (m,) bool
-        Whether they do so closely, and in front of the camera.
-    """
-    ends, starts = pairs.now[chosen], pairs.before[chosen]
-    try:
-        essential, inliers = cv2.findEssentialMat(
-            ends, starts, pairs.camera, cv2.USAC_MAGSAC, CONFIDENCE, INLIER_PX * pairs.scale, MOST_SAMPLES
-        )
-    except cv2.error:  # with points in random motion OpenCV may find no matrix, and fail on that
-        return None
-    if essential is None or essential.shape != (3, 3) or not inliers.any():
-        return None
-    some = np.flatnonzero(inliers)
-    some = some[:: 1 + len(some) // SIDE_POINTS]
-    _, rotation, translation, _ = cv2.recoverPose(essential, ends[some], starts[some], pairs.camera)
-    # Where points at infinity would have come from, and which way nearer ones did.
-    turned = pairs.camera @ rotation @ np.linalg.inv(pairs.camera)
-    farthest = cv2.perspectiveTransform(pairs.now[None], turned)[0]
-    epipole = (pairs.camera @ translation).ravel()
-    towards = epipole[:2] - epipole[2] * farthest
-    towards /= np.maximum(np.hypot(*towards.T), 1e-9)[:, None]
-    parallax = pairs.before - farthest
-    length = np.hypot(*parallax.T)
-    off = np.abs(parallax[:, 0] * towards[:, 1] - parallax[:, 1] * towards[:, 0]) - INLIER_PX * pairs.scale
-    static = off < INLIER_RELATIVE * np.minimum(length, MOST_PARALLAX_PX * pairs.scale)
-    static &= (parallax * towards).sum(axis=1) > -BEHIND_PX * pairs.scale
-    return np.asarray(off < INLIER_RELATIVE * length), static
-
-
-def _on_plane(pairs: _Pairs, chosen: Array) -> Array | None:
-    """Tell which trajectories (m,) bool the homography of some of them (k,) explains.
-
-    By MAGSAC, like the essential matrix, but with OpenCV's own limits. Plain RANSAC stops at the first
-    homography that is good enough: of planes that one homography explains to 92 to 100 %, it explained 73 to
-    95 %, so that they were taken to have depth.
-    """
-    ends, starts = pairs.now[chosen], pairs.before[chosen]
-    matrix, _ = cv2.findHomography(ends, starts, cv2.USAC_MAGSAC, PLANE_PX * pairs.scale)
-    if matrix is None:
-        return None
-    error = cv2.perspectiveTransform(pairs.now[None], matrix)[0] - pairs.before
-    return np.asarray(np.hypot(*error.T) < PLANE_PX * pairs.scale)
 
 
 def _curve(place: float, curve: _Curve) -> float:

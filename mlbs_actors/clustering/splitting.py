@@ -38,6 +38,7 @@ from mlbs_actors.tracking.trajectories import TrajectoryState, evenly_spread
 
 __all__ = [
     "background_first",
+    "background_kept",
     "bled_trajectories",
     "label_speeds",
     "least_object_speed",
@@ -285,20 +286,54 @@ def background_first(labels: Array, trajectories: TrajectoryState, scale: float,
     (n,) int64
         All background if there are no clusters.
     """
-    clusters = np.unique(labels[labels != UNLABELLED])
-    if len(clusters) == 0:
+    clusters = sorted(distinct_labels(labels) - {UNLABELLED})
+    if not clusters:
         return np.full(len(labels), BACKGROUND, np.int64)
-    residual = np.hypot(trajectories.residuals[:, 0, 0], trajectories.residuals[:, 0, 1])
-    obeying = [
-        len(evenly_spread(trajectories.positions, (labels == cluster) & (residual < scale), spacing))
-        for cluster in clusters
-    ]
-    background = int(clusters[int(np.argmax(obeying))])
-    order = [background, *(int(cluster) for cluster in clusters if cluster != background)]
+    background = _steadiest(labels, clusters, trajectories, scale, spacing)
+    order = [background, *(cluster for cluster in clusters if cluster != background)]
     renumbered = np.full(len(labels), UNLABELLED, np.int64)
     for position, cluster in enumerate(order):
         renumbered[labels == cluster] = position
     return renumbered
+
+
+def background_kept(
+    labels: Array, parts: Collection[int], trajectories: TrajectoryState, scale: float, spacing: float
+) -> Array:
+    """Give the name of the background to the part of it that best obeys the camera's motion.
+
+    An object with many trajectories would take it along when it is split off.
+
+    Parameters
+    ----------
+    labels : (n,) int64
+    parts : collection of int
+        Labels that were split off the background.
+    trajectories, scale, spacing
+        As of :func:`background_first`.
+
+    Returns
+    -------
+    (n,) int64
+    """
+    if not parts:
+        return labels
+    background = _steadiest(labels, sorted({BACKGROUND, *parts}), trajectories, scale, spacing)
+    swapped = np.where(labels == background, BACKGROUND, labels)
+    swapped[labels == BACKGROUND] = background
+    return swapped
+
+
+def _steadiest(
+    labels: Array, among: Sequence[int], trajectories: TrajectoryState, scale: float, spacing: float
+) -> int:
+    """Return the label that obeys the camera's motion in the largest area."""
+    residual = np.hypot(trajectories.residuals[:, 0, 0], trajectories.residuals[:, 0, 1])
+    obeying = [
+        len(evenly_spread(trajectories.positions, (labels == label) & (residual < scale), spacing))
+        for label in among
+    ]
+    return among[int(np.argmax(obeying))]
 
 
 def outgrowing(

@@ -8,7 +8,7 @@ from trajectory_graphs import graph_of
 
 from mlbs_actors.clustering.repulsion import Repulsion
 from mlbs_actors.config import Config
-from mlbs_actors.messages import BACKGROUND, Array
+from mlbs_actors.messages import Array
 
 CONFIG = Config()
 IDENTITY = CONFIG.identity
@@ -25,9 +25,7 @@ def gathered(
         edges += [(i, SIDE + i, across) for i in range(SIDE)]
         positions = np.random.default_rng(0).uniform(0, 50, (2 * SIDE, 2))
     graph = graph_of(sorted(edges), 2 * SIDE)
-    return (before or Repulsion.empty()).gathered(
-        graph, labels, positions.astype(np.float32), {5: 2}, {}, CONFIG
-    )
+    return (before or Repulsion.empty()).gathered(graph, labels, positions.astype(np.float32), {5: 2}, CONFIG)
 
 
 def test_a_step_at_the_border_is_two_things_and_the_same_step_in_something_that_bends_is_one() -> None:
@@ -70,8 +68,8 @@ def test_the_gap_is_to_the_nearest_of_all_parts_of_the_object() -> None:
     positions[:, 0] = np.tile(np.linspace(0, 50, SIDE), 3)
     positions[:, 1] = np.concatenate([np.linspace(0, 50, SIDE), np.full(SIDE, 120), np.full(SIDE, 190)])
     graph = graph_of([(0, 1, 1.0)], 3 * SIDE)
-    alone = Repulsion.empty().gathered(graph, labels, positions, {5: 2}, {}, CONFIG)
-    with_arm = Repulsion.empty().gathered(graph, labels, positions, origins, {}, CONFIG)
+    alone = Repulsion.empty().gathered(graph, labels, positions, {5: 2}, CONFIG)
+    with_arm = Repulsion.empty().gathered(graph, labels, positions, origins, CONFIG)
     assert alone.between(2, 5) > 0
     assert 0 <= with_arm.between(2, 5) < alone.between(2, 5)
 
@@ -79,7 +77,7 @@ def test_the_gap_is_to_the_nearest_of_all_parts_of_the_object() -> None:
 def test_few_edges_are_no_evidence() -> None:
     labels, edges = np.repeat([2, 5], SIDE), [(i, SIDE + i, 1000.0) for i in range(4)]
     nothing = Repulsion.empty().gathered(
-        graph_of(edges, 2 * SIDE), labels, np.zeros((2 * SIDE, 2), np.float32), {}, {}, CONFIG
+        graph_of(edges, 2 * SIDE), labels, np.zeros((2 * SIDE, 2), np.float32), {}, CONFIG
     )
     assert nothing.between(2, 5) == 0
 
@@ -105,16 +103,3 @@ def test_only_pairs_of_the_named_layers_above_the_threshold_are_apart() -> None:
     state = Repulsion(np.array([[1, 2], [1, 3], [2, 3]]), np.array([5.0, 1.0, 7.0]))
     assert state.apart((1, 2, 3), 1.0) == ((1, 2), (2, 3))
     assert state.apart((1, 2), 1.0) == ((1, 2),)
-
-
-def test_a_label_that_is_static_is_one_thing_with_the_background() -> None:
-    graph, labels = graph_of([(0, 1, 1.0)], 2 * SIDE), np.repeat([BACKGROUND, 5], SIDE)
-
-    def seen(static: float, before: Repulsion) -> Repulsion:
-        return before.gathered(graph, labels, np.zeros((2 * SIDE, 2), np.float32), {}, {5: static}, CONFIG)
-
-    first = seen(1.0, Repulsion.empty())
-    assert first.between(5, BACKGROUND) == -1.0  # in full: it is decided on at once
-    turned = seen(-2.0, seen(-2.0, first))
-    assert 0 < turned.between(5, BACKGROUND) < 2.0
-    assert turned.apart((BACKGROUND, 5), -9.0) == ()

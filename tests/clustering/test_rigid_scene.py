@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from mlbs_actors.clustering.outline import border_share, scene_squares, taken_squares
-from mlbs_actors.clustering.rigid_scene import FOCAL, Places, SceneEvidence, scene_evidence
-from mlbs_actors.config import LayersConfig
+from mlbs_actors.clustering.rigid_scene import SceneEvidence, scene_evidence
+from mlbs_actors.clustering.two_views import USUAL, FocalLength, Places
+from mlbs_actors.config import IdentityConfig, LayersConfig
 from mlbs_actors.messages import Array
 
-SHAPE = (480, 640)
+SHAPE, IDENTITY = (480, 640), IdentityConfig()
 #: Nothing is fixed in the picture.
 SCENE = np.zeros((120, 160), bool)
 #: What the camera does between the two pictures, in units of the scene.
@@ -23,7 +24,7 @@ def seen(points: Array, camera: Array) -> Array:
     """Where points (n, 3) of the scene are in the picture, px, (n, 2) float32."""
     there = points - camera
     centre = np.array([SHAPE[1] / 2, SHAPE[0] / 2])
-    return np.asarray(FOCAL * max(SHAPE) * there[:, :2] / there[:, 2:] + centre, np.float32)
+    return np.asarray(USUAL * max(SHAPE) * there[:, :2] / there[:, 2:] + centre, np.float32)
 
 
 def scene(
@@ -37,7 +38,7 @@ def scene(
     labels[inside[y, x]] = 1
     generator = np.random.default_rng(1)
     depth = np.where(labels == 1, 4.0, 12.0) + relief * generator.uniform(size=len(x))
-    rays = np.stack([x - SHAPE[1] / 2, y - SHAPE[0] / 2], axis=1) / (FOCAL * max(SHAPE))
+    rays = np.stack([x - SHAPE[1] / 2, y - SHAPE[0] / 2], axis=1) / (USUAL * max(SHAPE))
     points = np.concatenate([rays * depth[:, None], depth[:, None]], axis=1)
     now, before = seen(points, np.zeros(3)), seen(points - (labels == 1)[:, None] * motion, -camera)
     ids = np.arange(len(x))
@@ -68,7 +69,7 @@ def weighed(
 ) -> SceneEvidence:
     """The evidence for labels that move ``speed`` times as fast as the slowest objects."""
     speeds = dict.fromkeys(labels.tolist(), speed)
-    return scene_evidence(places, labels, objects, speeds, fixed, SHAPE, LayersConfig())
+    return scene_evidence(places, labels, objects, speeds, fixed, SHAPE, FocalLength(), LayersConfig())
 
 
 @pytest.mark.parametrize("camera", [SIDEWAYS, FORWARDS])
@@ -142,6 +143,29 @@ def test_without_a_scene_nothing_is_known_of_motions() -> None:
     generator = np.random.default_rng(2)
     moved = places[1].positions + generator.normal(0, 40, places[1].positions.shape).astype(np.float32)
     assert weighed([places[0], Places(places[1].ids, moved)], labels).motion == {1: 0.0}
+
+
+def test_evidence_is_gathered_over_the_lives_of_trajectories() -> None:
+    def seen(static: Array, labels: Array, **motion: float) -> Array:
+        evidence = SceneEvidence({int(key[1:]): odds for key, odds in motion.items()}, {}, FocalLength())
+        return evidence.gathered(static, labels, IDENTITY)
+
+    unknown = np.full(4, np.nan, np.float32)
+    first = seen(unknown, np.array([1, 1, 2, 0]), _1=2.0)
+    np.testing.assert_array_equal(first, np.array([2.0, 2.0, np.nan, np.nan], np.float32))
+    # The same piece of the scene under another name, with a new trajectory.
+    again = seen(first, np.array([3, 3, 3, 0]), _3=-1.0)
+    np.testing.assert_allclose(again[:3], 2.0 * IDENTITY.fading - IDENTITY.weight)
+    # One of them alone.
+    parted = seen(again, np.array([4, 3, 3, 0]), _4=1.0)
+    assert parted[0] == pytest.approx(again[0] * IDENTITY.fading + IDENTITY.weight)
+    np.testing.assert_array_equal(parted[1:], again[1:])
+
+
+def test_the_odds_of_a_label_are_by_all_that_is_known() -> None:
+    evidence = SceneEvidence({}, {1: -0.5, 2: 1.5}, FocalLength())
+    static = np.array([1.0, 2.0, np.nan, np.nan, 8.0], np.float32)
+    assert evidence.odds(static, np.array([1, 1, 1, 2, 0])) == {1: pytest.approx(1.0), 2: 1.5}
 
 
 def test_while_nothing_moves_at_all_nothing_is_known_of_motions() -> None:

@@ -11,6 +11,8 @@ import scipy.sparse as sp
 from mlbs_actors.clustering import splitting
 from mlbs_actors.clustering.label_index import UNLABELLED, label_classes
 from mlbs_actors.clustering.splitting import (
+    background_first,
+    background_kept,
     bled_trajectories,
     label_speeds,
     least_object_speed,
@@ -245,6 +247,37 @@ def test_what_counts_as_moving_grows_with_the_camera_s_own_motion() -> None:
 
 
 # The scene
+
+
+def scene_with_a_crowded_object() -> tuple[Array, TrajectoryState]:
+    """Still ground (1), 30 trajectories far apart, and an object (0) of 200 that moves by 4 px a frame."""
+    y, x = np.divmod(np.arange(30), 6)
+    ground = np.stack([20.0 * x, 20.0 * y], axis=1)
+    crowd = np.random.default_rng(0).uniform(0, 40, (200, 2))
+    residuals = np.zeros((230, 3, 2))
+    residuals[30:, :, 0] = 4.0
+    state = trajectories(np.zeros((230, 2)), residuals)
+    positions = np.concatenate([ground, crowd]).astype(np.float32)
+    return np.repeat([1, 0], [30, 200]), replace(state, positions=positions)
+
+
+def test_of_the_first_clusters_the_one_that_obeys_the_camera_is_the_background() -> None:
+    labels, state = scene_with_a_crowded_object()
+    labels[-1] = UNLABELLED
+    first = background_first(labels, state, 1.0, 10.0)
+    assert first.tolist() == [BACKGROUND] * 30 + [1] * 199 + [UNLABELLED]
+    nothing = np.full(230, UNLABELLED)
+    assert (background_first(nothing, state, 1.0, 10.0) == BACKGROUND).all()
+
+
+def test_an_object_that_is_split_off_leaves_the_background_its_name() -> None:
+    labels, state = scene_with_a_crowded_object()
+    named = background_kept(labels + 7 * (labels == 1), {8}, state, 1.0, 10.0)
+    assert named.tolist() == [BACKGROUND] * 30 + [8] * 200
+    split_off_something_else = background_kept(labels, set(), state, 1.0, 10.0)
+    np.testing.assert_array_equal(split_off_something_else, labels)
+    slow = replace(state, residuals=state.residuals / 100)
+    np.testing.assert_array_equal(background_kept(1 - labels, {1}, slow, 1.0, 10.0), 1 - labels)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,195 @@
+"""Two pictures of one rigid scene: which trajectories an essential matrix explains, and which a homography.
+
+Not in the paper, which has no camera model. The matrix wants the focal length, which no video tells.
+:class:`FocalLength` estimates it from what the matrices explain: with a wrong one a scene of two planes, such
+as a slope before a far meadow, is no rigid scene. (A fundamental matrix wants none, but bends to what moves.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from mlbs_actors.config import length_scale
+from mlbs_actors.messages import Array
+from mlbs_actors.tracking.trajectories import evenly_spread
+
+__all__ = ["FocalLength", "Pairs", "Places", "in_scene", "on_plane"]
+
+#: Confidence that the best matrix was found, and most samples drawn for it.
+CONFIDENCE, MOST_SAMPLES = 0.999, 1000
+#: Distance to the epipolar line of a point that obeys, px, and what is added to it, × its parallax; to be
+#: static, no more than that of so much parallax, px.
+INLIER_PX, INLIER_RELATIVE, MOST_PARALLAX_PX = 1.0, 0.02, 50.0
+#: Distance within which a homography explains a point, px: errors along the line count as well.
+PLANE_PX = 1.5
+#: What is static has at most so many px of parallax towards the wrong side.
+BEHIND_PX = 2.0
+#: So many points tell on which side of the camera they are.
+SIDE_POINTS = 50
+#: Focal lengths to choose from, × the longer side of the frame, and the usual one; what another must explain
+#: more.
+FOCAL_LENGTHS, USUAL, LEAST_MORE = (0.7, 1.1, 2.0, 4.0), 1.1, 0.05
+#: Weight of the last pictures.
+NEWEST = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where the trajectories were in one picture.
+
+    Attributes
+    ----------
+    ids : (n,) int64
+        Ascending.
+    positions : (n, 2) float32
+        px.
+    """
+
+    ids: Array
+    positions: Array
+
+
+@dataclass(frozen=True, slots=True)
+class FocalLength:
+    """How well each focal length has explained the scene.
+
+    Attributes
+    ----------
+    shares : tuple of float
+        For each of ``FOCAL_LENGTHS``, the share of the trajectories that it explained, averaged over time.
+    """
+
+    shares: tuple[float, ...] = (0.0,) * len(FOCAL_LENGTHS)
+
+    @property
+    def best(self) -> float:
+        """The likeliest one, × the longer side of the frame."""
+        usual = self.shares[FOCAL_LENGTHS.index(USUAL)]
+        best = int(np.argmax(self.shares))
+        return FOCAL_LENGTHS[best] if self.shares[best] > usual + LEAST_MORE else USUAL
+
+    def rated(self, pairs: Pairs, points: Array, fitted: Array) -> FocalLength:
+        """Add what the last pictures tell.
+
+        Parameters
+        ----------
+        pairs : Pairs
+        points : (k,) intp
+            Trajectories that may be static.
+        fitted : (j,) intp
+            Those of them to which the matrices are fitted.
+        """
+        shares = []
+        for length, before in zip(FOCAL_LENGTHS, self.shares, strict=True):
+            found = in_scene(pairs.seen_with(length), fitted)
+            share = 0.0 if found is None else float(found[1][points].mean())
+            shares.append((1 - NEWEST) * before + NEWEST * share)
+        return FocalLength(tuple(shares))
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """The trajectories that are in two pictures.
+
+    Attributes
+    ----------
+    now, before : (m, 2) float64
+        Their places, px.
+    labels : (m,) int64
+    shape : (int, int)
+        (H, W) of the frame.
+    camera : (3, 3) float64
+        Takes directions to px.
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    """
+
+    now: Array
+    before: Array
+    labels: Array
+    shape: tuple[int, int]
+    camera: Array
+    scale: float
+
+    @classmethod
+    def between(cls, before: Places, now: Places, labels: Array, shape: tuple[int, int]) -> Pairs:
+        """Pair the trajectories of the newer picture, of these labels (n,) int64, with those of the older."""
+        _, at, there = np.intersect1d(now.ids, before.ids, assume_unique=True, return_indices=True)
+        ends, starts = now.positions[at].astype(np.float64), before.positions[there].astype(np.float64)
+        pairs = cls(ends, starts, labels[at], shape, np.eye(3), length_scale(*shape))
+        return pairs.seen_with(USUAL)
+
+    def seen_with(self, focal_length: float) -> Pairs:
+        """Return the same with another focal length, × the longer side of the frame."""
+        focal = focal_length * max(self.shape)
+        camera = np.array([[focal, 0, self.shape[1] / 2], [0, focal, self.shape[0] / 2], [0, 0, 1]])
+        return replace(self, camera=camera)
+
+    def count(self, label: int) -> int:
+        """Return how many trajectories a label has."""
+        return int((self.labels == label).sum())
+
+    def spread(self, labels: Collection[int], spacing: float) -> Array:
+        """Return indices (k,) of trajectories of some labels, at most one a square."""
+        chosen = np.isin(self.labels, list(labels))
+        return evenly_spread(self.now.astype(np.float32), chosen, spacing * self.scale)
+
+
+def in_scene(pairs: Pairs, chosen: Array) -> tuple[Array, Array] | None:
+    """Tell which trajectories are parts of the rigid scene of some of them.
+
+    Parameters
+    ----------
+    pairs : Pairs
+    chosen : (k,) intp
+
+    Returns
+    -------
+    explained : (m,) bool
+        Whether they obey the essential matrix. None in place of both if there is none.
+    static : (m,) bool
+        Whether they do so closely, and in front of the camera.
+    """
+    ends, starts = pairs.now[chosen], pairs.before[chosen]
+    try:
+        essential, inliers = cv2.findEssentialMat(
+            ends, starts, pairs.camera, cv2.USAC_MAGSAC, CONFIDENCE, INLIER_PX * pairs.scale, MOST_SAMPLES
+        )
+    except cv2.error:  # with points in random motion OpenCV may find no matrix, and fail on that
+        return None
+    if essential is None or essential.shape != (3, 3) or not inliers.any():
+        return None
+    some = np.flatnonzero(inliers)
+    some = some[:: 1 + len(some) // SIDE_POINTS]
+    _, rotation, translation, _ = cv2.recoverPose(essential, ends[some], starts[some], pairs.camera)
+    # Where points at infinity would have come from, and which way nearer ones did.
+    turned = pairs.camera @ rotation @ np.linalg.inv(pairs.camera)
+    farthest = cv2.perspectiveTransform(pairs.now[None], turned)[0]
+    epipole = (pairs.camera @ translation).ravel()
+    towards = epipole[:2] - epipole[2] * farthest
+    towards /= np.maximum(np.hypot(*towards.T), 1e-9)[:, None]
+    parallax = pairs.before - farthest
+    length = np.hypot(*parallax.T)
+    off = np.abs(parallax[:, 0] * towards[:, 1] - parallax[:, 1] * towards[:, 0]) - INLIER_PX * pairs.scale
+    static = off < INLIER_RELATIVE * np.minimum(length, MOST_PARALLAX_PX * pairs.scale)
+    static &= (parallax * towards).sum(axis=1) > -BEHIND_PX * pairs.scale
+    return np.asarray(off < INLIER_RELATIVE * length), static
+
+
+def on_plane(pairs: Pairs, chosen: Array) -> Array | None:
+    """Tell which trajectories (m,) bool the homography of some of them (k,) explains.
+
+    By MAGSAC, like the essential matrix, but with OpenCV's own limits. Plain RANSAC stops at the first
+    homography that is good enough: of planes that one homography explains to 92 to 100 %, it explained 73 to
+    95 %, so that they were taken to have depth.
+    """
+    ends, starts = pairs.now[chosen], pairs.before[chosen]
+    matrix, _ = cv2.findHomography(ends, starts, cv2.USAC_MAGSAC, PLANE_PX * pairs.scale)
+    if matrix is None:
+        return None
+    error = cv2.perspectiveTransform(pairs.now[None], matrix)[0] - pairs.before
+    return np.asarray(np.hypot(*error.T) < PLANE_PX * pairs.scale)
