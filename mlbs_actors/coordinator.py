@@ -381,8 +381,10 @@ class Coordinator:
         state.fixed = tracked.fixed
         state.trajectories, state.labels, state.static = trajectories, labels, static
         state.spreads = spreads
-        newest = Places(trajectories.ids, trajectories.positions)
-        state.places = (newest, *state.places)[: config.layers.scene_frames + 1]
+        newest, before = Places(trajectories.ids, trajectories.positions), state.places
+        if tracked.swing is not None:
+            before = tuple(one.at_rest(tracked.swing) for one in before)
+        state.places = (newest, *before)[: config.layers.scene_frames + 1]
         if not match.told and self._clustering_due(frame_index) and not state.clustered:
             # Nothing is known of what moves: all is background until the camera's motion is told.
             state.labels, state.clustered = np.full(len(trajectories), BACKGROUND, np.int64), True

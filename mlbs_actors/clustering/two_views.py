@@ -15,6 +15,7 @@ import numpy as np
 
 from mlbs_actors.config import length_scale
 from mlbs_actors.messages import Array
+from mlbs_actors.tracking.rolling_shutter import Swing
 from mlbs_actors.tracking.trajectories import evenly_spread
 
 __all__ = ["FocalLength", "Pairs", "Places", "in_scene", "on_plane"]
@@ -51,6 +52,10 @@ class Places:
 
     ids: Array
     positions: Array
+
+    def at_rest(self, swing: Swing) -> Places:
+        """Return where they would have been had the rows not swung since; on the way rows hardly change."""
+        return replace(self, positions=self.positions - swing.at(self.positions[:, 1]))
 
 
 @dataclass(frozen=True, slots=True)

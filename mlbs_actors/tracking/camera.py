@@ -134,7 +134,13 @@ class CameraEvidence:
 
 
 def camera_evidence(
-    previous: Array, current: Array, matrix: Array, flow: Array, side: int, config: TrajectoriesConfig
+    previous: Array,
+    current: Array,
+    matrix: Array,
+    flow: Array,
+    side: int,
+    config: TrajectoriesConfig,
+    rows: Array | None = None,
 ) -> CameraEvidence:
     """Compare the frame before, moved by the camera's motion and by the dense flow, with the new frame.
 
@@ -148,6 +154,8 @@ def camera_evidence(
         Backward flow t → t−1, px.
     side : int
         Of a cell, px.
+    rows : (h, 2) float32, optional
+        Backward motion of each row of cells beside the homography's, px.
 
     Returns
     -------
@@ -159,7 +167,10 @@ def camera_evidence(
     mapping = homography_of_cells(matrix, side)
     height, width = current.shape
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    by_camera = cv2.warpPerspective(previous, mapping, (width, height), flags=flags)
+    if rows is None:
+        by_camera = cv2.warpPerspective(previous, mapping, (width, height), flags=flags)
+    else:
+        by_camera = _moved_in_rows(previous, mapping, rows / np.float32(side))
     sources = _flow_sources(flow, np.float32(side))
     # One map of both coordinates, which the stubs do not know.
     by_flow = cv2.remap(  # type: ignore[call-overload]
@@ -169,6 +180,18 @@ def camera_evidence(
     camera_error, flow_error = (cv2.boxFilter(one, cv2.CV_32F, (5, 5)) for one in differences)
     noise = np.float32(min(max(_median_error(camera_error), config.least_noise), config.most_noise))
     return CameraEvidence(*_in_noise(camera_error, flow_error, noise), differences[0])
+
+
+def _moved_in_rows(previous: Array, mapping: Array, rows: Array) -> Array:
+    """Return frame t−1 moved by a homography and then row by row (h, 2), cells."""
+    height, width = previous.shape
+    cells = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float32)
+    sources = cv2.perspectiveTransform(cells, mapping) + rows[:, None]
+    # One map of both coordinates, which the stubs do not know.
+    moved = cv2.remap(  # type: ignore[call-overload]
+        previous, sources.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(moved)
 
 
 @compiled

@@ -22,6 +22,7 @@ from mlbs_actors.messages import Array
 from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion
 from mlbs_actors.tracking.density import within_room
 from mlbs_actors.tracking.epipolar import explains, forward_motion, static_motion
+from mlbs_actors.tracking.rolling_shutter import Swing, swing_of_rows
 from mlbs_actors.tracking.seeding import seed_trajectories
 from mlbs_actors.tracking.trajectories import (
     TrajectoryState,
@@ -46,6 +47,8 @@ class Tracked:
         Indices of the survivors in the arrays of the frame before, ascending.
     camera : (3, 3) float64
         :func:`~mlbs_actors.tracking.camera.camera_homography`, backward.
+    swing : Swing or None
+        What the rows move beside that.
     against_camera : CameraEvidence
         0 everywhere in a frame without flow, and where the picture is fixed.
     fixed : FixedState
@@ -54,6 +57,7 @@ class Tracked:
     trajectories: TrajectoryState
     survivors: Array
     camera: Array
+    swing: Swing | None
     against_camera: CameraEvidence
     fixed: FixedState
 
@@ -106,10 +110,15 @@ def track(
     places, motions = trajectories.positions[voters], trajectories.motions[voters]
     camera = camera_homography(places, motions, scale, settings)
     planar = explains(camera, places, motions, shape, settings)
+    swing = None
+    found = None if planar else swing_of_rows(places, motions, camera, shape[0], scale, settings)
+    if found is not None:
+        swing, camera = found
     nothing = np.zeros(gray.shape, np.float32)
     against_camera = CameraEvidence(nothing, nothing, np.zeros(gray.shape, np.uint8))
     if flow is not None:
-        against_camera = camera_evidence(previous, gray, camera, flow.backward, side, settings)
+        rows = None if swing is None else swing.at(side * np.arange(gray.shape[0]))
+        against_camera = camera_evidence(previous, gray, camera, flow.backward, side, settings, rows)
         fixed = fixed_cells(fixed, gray, against_camera.difference)
         if fixed.cells.any():
             against_camera = _scene_only(against_camera, fixed.cells)
@@ -134,9 +143,11 @@ def track(
     )
     advantage = sample_map(against_camera.advantage, trajectories.positions, side)
     predicted = homography_motion(camera, trajectories.positions)
+    if swing is not None:
+        predicted += swing.at(trajectories.positions[:, 1])
     everywhere = evenly_spread(trajectories.positions, trajectories.ages > 0, 2 * spacing)
     driving = None
-    if not planar:  # else all that the homography does not explain are objects
+    if not planar and swing is None:  # else all that the homography does not explain are objects
         driving = forward_motion(
             trajectories.positions[everywhere], trajectories.motions[everywhere], camera, shape, settings
         )
@@ -145,7 +156,7 @@ def track(
         obeying = np.hypot(*(trajectories.motions - predicted).T) < scale
         advantage = np.where(obeying, 0.0, advantage)
     trajectories = with_residuals(trajectories, predicted, advantage, settings)
-    return Tracked(trajectories, survivors, camera, against_camera, fixed)
+    return Tracked(trajectories, survivors, camera, swing, against_camera, fixed)
 
 
 def _scene_only(evidence: CameraEvidence, fixed: Array) -> CameraEvidence:
