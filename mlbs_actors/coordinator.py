@@ -383,7 +383,7 @@ class Coordinator:
         state.spreads = spreads
         newest, before = Places(trajectories.ids, trajectories.positions), state.places
         if tracked.swing is not None:
-            before = tuple(one.at_rest(tracked.swing) for one in before)
+            before = tuple(one.without(tracked.swing) for one in before)
         state.places = (newest, *before)[: config.layers.scene_frames + 1]
         if not match.told and self._clustering_due(frame_index) and not state.clustered:
             # Nothing is known of what moves: all is background until the camera's motion is told.

@@ -53,7 +53,7 @@ class Places:
     ids: Array
     positions: Array
 
-    def at_rest(self, swing: Swing) -> Places:
+    def without(self, swing: Swing) -> Places:
         """Return where they would have been had the rows not swung since; on the way rows hardly change."""
         return replace(self, positions=self.positions - swing.at(self.positions[:, 1]))
 
