@@ -21,8 +21,8 @@ __all__ = ["Swing", "swing_of_rows"]
 WAVES, AROUND = np.arange(0.75, 5.1, 0.25), np.linspace(-0.2, 0.2, 17)
 #: Steps of the robust fit, and most trajectories that it is made to.
 FITS, MOST_POINTS = 3, 150
-#: Fewest trajectories, the least share of them that homography and wave explain together, and most of what
-#: the homography alone leaves that is left.
+#: Fewest trajectories, the least share of them that an affine motion and a wave explain together, and most of
+#: what the homography alone leaves that they leave.
 LEAST_POINTS, LEAST_EXPLAINED, MOST_LEFT = 20, 0.7, 0.33
 
 
@@ -78,21 +78,25 @@ def swing_of_rows(
         return None
     noise = config.camera_inlier_px * scale
     some = slice(None, None, 1 + len(positions) // MOST_POINTS)
-    coarse = _best_wave(positions[some], motions[some], WAVES, height, noise)
-    swing = _best_wave(positions[some], motions[some], coarse.waves + AROUND, height, noise)
-    still = motions - swing.at(positions[:, 1])
-    homography = camera_homography(positions, still, scale, config)
-    left, left_alone = (
-        float((np.hypot(*(moved - homography_motion(matrix, positions)).T) >= noise).mean())
-        for moved, matrix in ((still, homography), (motions, camera))
-    )
+    coarse, _ = _best_wave(positions[some], motions[some], WAVES, height, noise)
+    swing, left = _best_wave(positions[some], motions[some], coarse.waves + AROUND, height, noise)
+    left_alone = float((np.hypot(*(motions - homography_motion(camera, positions)).T) >= noise).mean())
     if left > 1 - LEAST_EXPLAINED or left >= MOST_LEFT * left_alone:
         return None
-    return swing, homography
+    return swing, camera_homography(positions, motions - swing.at(positions[:, 1]), scale, config)
 
 
-def _best_wave(positions: Array, motions: Array, waves: Array, height: int, noise: float) -> Swing:
-    """Return the wave, of some (w,), that with an affine motion explains most, by weighted least squares."""
+def _best_wave(
+    positions: Array, motions: Array, waves: Array, height: int, noise: float
+) -> tuple[Swing, float]:
+    """Find the wave, of some (w,), that with an affine motion explains most, by weighted least squares.
+
+    Returns
+    -------
+    Swing
+    float
+        The share of the trajectories that the two do not explain.
+    """
     x, y = positions.astype(np.float64).T / height
     angle = 2 * np.pi * waves[:, None] * y
     ones = np.ones_like(angle)
@@ -105,4 +109,5 @@ def _best_wave(positions: Array, motions: Array, waves: Array, height: int, nois
         error = np.square((motions - basis @ amplitudes) / noise).sum(axis=2)
         weight = 1 / (1 + error)
     best = int(np.log1p(error).mean(axis=1).argmin())
-    return Swing(float(waves[best]), amplitudes[best, 3], amplitudes[best, 4], height)
+    swing = Swing(float(waves[best]), amplitudes[best, 3], amplitudes[best, 4], height)
+    return swing, float((error[best] >= 1).mean())
