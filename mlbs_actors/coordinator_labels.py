@@ -154,10 +154,10 @@ def _split(
     """Carry the labels on and split them; return the labels, and from which each new one was split off."""
     assert state.shape is not None
     scale = length_scale(*state.shape)
+    spacing = config.trajectories.seed_spacing_px * scale
     bled = bled_trajectories(state.trajectories, speed, config.layers, scale)
     if not state.clustered:
         labels, _ = split_labels(affinity, np.full(len(bled), UNLABELLED), config.affinity, 0, bled)
-        spacing = config.trajectories.seed_spacing_px * scale
         return background_first(labels, state.trajectories, scale, spacing), {}
     carried = propagate_labels(affinity, state.labels, config.affinity)
     fresh = max(registry.state.next_layer, int(carried.max(initial=0)) + 1)
@@ -165,7 +165,6 @@ def _split(
     registry.spare(firm)
     origins = split_origins(carried, labels)
     parts = {label for label, origin in origins.items() if origin == BACKGROUND}
-    spacing = config.trajectories.seed_spacing_px * scale
     return background_kept(labels, parts, state.trajectories, scale, spacing), origins
 
 

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -181,7 +181,7 @@ def scene_evidence(
         points = pairs.spread(distinct_labels(pairs.labels) - set(objects), SPACING_PX)
         if frames == oldest and len(points) >= LEAST_POINTS:
             focal_length = focal_length.rated(pairs, points, points[::PARTS])
-        pairs = pairs.seen_with(focal_length.best)
+        pairs = replace(pairs, focal_length=focal_length.best)
         fit = _Fit.to(pairs, points)
         if fit is not None and frames == oldest and fit.holds(points, config):
             priors = dict.fromkeys(judged, fit.prior(points))

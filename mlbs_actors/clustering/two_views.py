@@ -90,7 +90,7 @@ class FocalLength:
         """
         shares = []
         for length, before in zip(FOCAL_LENGTHS, self.shares, strict=True):
-            found = in_scene(pairs.seen_with(length), fitted)
+            found = in_scene(replace(pairs, focal_length=length), fitted)
             share = 0.0 if found is None else float(found[1][points].mean())
             shares.append((1 - NEWEST) * before + NEWEST * share)
         return FocalLength(tuple(shares))
@@ -107,32 +107,33 @@ class Pairs:
     labels : (m,) int64
     shape : (int, int)
         (H, W) of the frame.
-    camera : (3, 3) float64
-        Takes directions to px.
-    scale : float
-        :func:`~mlbs_actors.config.length_scale` of the frame.
+    focal_length : float
+        × its longer side.
     """
 
     now: Array
     before: Array
     labels: Array
     shape: tuple[int, int]
-    camera: Array
-    scale: float
+    focal_length: float = USUAL
 
     @classmethod
     def between(cls, before: Places, now: Places, labels: Array, shape: tuple[int, int]) -> Pairs:
         """Pair the trajectories of the newer picture, of these labels (n,) int64, with those of the older."""
         _, at, there = np.intersect1d(now.ids, before.ids, assume_unique=True, return_indices=True)
         ends, starts = now.positions[at].astype(np.float64), before.positions[there].astype(np.float64)
-        pairs = cls(ends, starts, labels[at], shape, np.eye(3), length_scale(*shape))
-        return pairs.seen_with(USUAL)
+        return cls(ends, starts, labels[at], shape)
 
-    def seen_with(self, focal_length: float) -> Pairs:
-        """Return the same with another focal length, × the longer side of the frame."""
-        focal = focal_length * max(self.shape)
-        camera = np.array([[focal, 0, self.shape[1] / 2], [0, focal, self.shape[0] / 2], [0, 0, 1]])
-        return replace(self, camera=camera)
+    @property
+    def camera(self) -> Array:
+        """(3, 3) float64 that takes directions to px."""
+        focal = self.focal_length * max(self.shape)
+        return np.array([[focal, 0, self.shape[1] / 2], [0, focal, self.shape[0] / 2], [0, 0, 1]])
+
+    @property
+    def scale(self) -> float:
+        """:func:`~mlbs_actors.config.length_scale` of the frame."""
+        return length_scale(*self.shape)
 
     def count(self, label: int) -> int:
         """Return how many trajectories a label has."""
@@ -159,10 +160,10 @@ def in_scene(pairs: Pairs, chosen: Array) -> tuple[Array, Array] | None:
     static : (m,) bool
         Whether they do so closely, and in front of the camera.
     """
-    ends, starts = pairs.now[chosen], pairs.before[chosen]
+    ends, starts, camera = pairs.now[chosen], pairs.before[chosen], pairs.camera
     try:
         essential, inliers = cv2.findEssentialMat(
-            ends, starts, pairs.camera, cv2.USAC_MAGSAC, CONFIDENCE, INLIER_PX * pairs.scale, MOST_SAMPLES
+            ends, starts, camera, cv2.USAC_MAGSAC, CONFIDENCE, INLIER_PX * pairs.scale, MOST_SAMPLES
         )
     except cv2.error:  # with points in random motion OpenCV may find no matrix, and fail on that
         return None
@@ -170,11 +171,11 @@ def in_scene(pairs: Pairs, chosen: Array) -> tuple[Array, Array] | None:
         return None
     some = np.flatnonzero(inliers)
     some = some[:: 1 + len(some) // SIDE_POINTS]
-    _, rotation, translation, _ = cv2.recoverPose(essential, ends[some], starts[some], pairs.camera)
+    _, rotation, translation, _ = cv2.recoverPose(essential, ends[some], starts[some], camera)
     # Where points at infinity would have come from, and which way nearer ones did.
-    turned = pairs.camera @ rotation @ np.linalg.inv(pairs.camera)
+    turned = camera @ rotation @ np.linalg.inv(camera)
     farthest = cv2.perspectiveTransform(pairs.now[None], turned)[0]
-    epipole = (pairs.camera @ translation).ravel()
+    epipole = (camera @ translation).ravel()
     towards = epipole[:2] - epipole[2] * farthest
     towards /= np.maximum(np.hypot(*towards.T), 1e-9)[:, None]
     parallax = pairs.before - farthest

@@ -21,6 +21,7 @@ __all__ = [
     "CameraEvidence",
     "camera_evidence",
     "camera_homography",
+    "explained_share",
     "homography_motion",
     "homography_of_cells",
 ]
@@ -84,6 +85,23 @@ def homography_motion(matrix: Array, positions: Array) -> Array:
         depth = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
         motions[point, 0], motions[point, 1] = along / depth - x, down / depth - y
     return motions
+
+
+def explained_share(
+    homography: Array, positions: Array, motions: Array, scale: float, config: TrajectoriesConfig
+) -> float:
+    """Return the share of some backward motions that a homography explains.
+
+    Parameters
+    ----------
+    homography : (3, 3) float64
+    positions, motions : (n, 2) float32
+        px; without any, 0.
+    scale : float
+        :func:`~mlbs_actors.config.length_scale` of the frame.
+    """
+    error = np.hypot(*(motions - homography_motion(homography, positions)).T)
+    return float((error < config.camera_inlier_px * scale).sum() / max(len(positions), 1))
 
 
 @compiled
@@ -171,11 +189,7 @@ def camera_evidence(
         by_camera = cv2.warpPerspective(previous, mapping, (width, height), flags=flags)
     else:
         by_camera = _moved_in_rows(previous, mapping, rows / np.float32(side))
-    sources = _flow_sources(flow, np.float32(side))
-    # One map of both coordinates, which the stubs do not know.
-    by_flow = cv2.remap(  # type: ignore[call-overload]
-        previous, sources, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
+    by_flow = _taken_from(previous, _flow_sources(flow, np.float32(side)))
     differences = _differences(current, by_camera, by_flow, mapping)
     camera_error, flow_error = (cv2.boxFilter(one, cv2.CV_32F, (5, 5)) for one in differences)
     noise = np.float32(min(max(_median_error(camera_error), config.least_noise), config.most_noise))
@@ -186,12 +200,16 @@ def _moved_in_rows(previous: Array, mapping: Array, rows: Array) -> Array:
     """Return frame t−1 moved by a homography and then row by row (h, 2), cells."""
     height, width = previous.shape
     cells = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float32)
-    sources = cv2.perspectiveTransform(cells, mapping) + rows[:, None]
+    return _taken_from(previous, cv2.perspectiveTransform(cells, mapping) + rows[:, None])
+
+
+def _taken_from(previous: Array, sources: Array) -> Array:
+    """Return frame t−1 as it is at some places, (h, w, 2) float32, cells."""
     # One map of both coordinates, which the stubs do not know.
-    moved = cv2.remap(  # type: ignore[call-overload]
-        previous, sources.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    taken = cv2.remap(  # type: ignore[call-overload]
+        previous, sources, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    return np.asarray(moved)
+    return np.asarray(taken)
 
 
 @compiled

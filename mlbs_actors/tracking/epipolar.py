@@ -16,9 +16,9 @@ import numpy as np
 
 from mlbs_actors.config import TrajectoriesConfig, length_scale
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import homography_motion
+from mlbs_actors.tracking.camera import explained_share
 
-__all__ = ["EpipolarGeometry", "explains", "forward_motion", "static_motion"]
+__all__ = ["EpipolarGeometry", "forward_motion", "static_motion"]
 
 #: Confidence that the best geometry was found, and most samples drawn for it.
 CONFIDENCE, MOST_SAMPLES = 0.999, 2000
@@ -66,9 +66,10 @@ def forward_motion(
     """
     if len(positions) < 2 * config.camera_tracks:
         return None
-    if explains(homography, positions, motions, shape, config):
+    scale = length_scale(*shape)
+    if explained_share(homography, positions, motions, scale, config) > config.most_planar:
         return None
-    inlier = config.camera_inlier_px * length_scale(*shape)
+    inlier = config.camera_inlier_px * scale
     points = positions.astype(np.float64)
     try:
         matrix, inliers = cv2.findFundamentalMat(
@@ -87,24 +88,6 @@ def forward_motion(
     # A camera that drives backwards has the same epipolar lines, but its points come from farther out.
     error = np.hypot(*(motions - static_motion(geometry, positions, motions)).T)
     return geometry if (error < inlier).mean() >= config.least_static else None
-
-
-def explains(
-    homography: Array, positions: Array, motions: Array, shape: tuple[int, int], config: TrajectoriesConfig
-) -> bool:
-    """Whether a homography explains more than ``most_planar`` of some backward motions.
-
-    Parameters
-    ----------
-    homography : (3, 3) float64
-    positions, motions : (n, 2) float32
-        px; without any, False.
-    shape : (int, int)
-        (H, W) of the frame.
-    """
-    error = np.hypot(*(motions - homography_motion(homography, positions)).T)
-    obeying = error < config.camera_inlier_px * length_scale(*shape)
-    return bool(obeying.sum() > config.most_planar * len(positions))
 
 
 def static_motion(geometry: EpipolarGeometry, positions: Array, motions: Array) -> Array:

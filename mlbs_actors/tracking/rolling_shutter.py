@@ -13,7 +13,7 @@ import numpy as np
 
 from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import camera_homography, homography_motion
+from mlbs_actors.tracking.camera import camera_homography
 
 __all__ = ["Swing", "swing_of_rows"]
 
@@ -52,7 +52,7 @@ class Swing:
 
 
 def swing_of_rows(
-    positions: Array, motions: Array, camera: Array, height: int, scale: float, config: TrajectoriesConfig
+    positions: Array, motions: Array, explained: float, height: int, scale: float, config: TrajectoriesConfig
 ) -> tuple[Swing, Array] | None:
     """Fit a wave of the rows to what a homography does not explain.
 
@@ -60,8 +60,8 @@ def swing_of_rows(
     ----------
     positions, motions : (n, 2) float32
         Background trajectories, evenly spread, and their backward motions, px.
-    camera : (3, 3) float64
-        Their :func:`~mlbs_actors.tracking.camera.camera_homography`.
+    explained : float
+        The share of them that a homography explains.
     height : int
         Of the frame, px.
     scale : float
@@ -80,8 +80,7 @@ def swing_of_rows(
     some = slice(None, None, 1 + len(positions) // MOST_POINTS)
     coarse, _ = _best_wave(positions[some], motions[some], WAVES, height, noise)
     swing, left = _best_wave(positions[some], motions[some], coarse.waves + AROUND, height, noise)
-    left_alone = float((np.hypot(*(motions - homography_motion(camera, positions)).T) >= noise).mean())
-    if left > 1 - LEAST_EXPLAINED or left >= MOST_LEFT * left_alone:
+    if left > 1 - LEAST_EXPLAINED or left >= MOST_LEFT * (1 - explained):
         return None
     return swing, camera_homography(positions, motions - swing.at(positions[:, 1]), scale, config)
 

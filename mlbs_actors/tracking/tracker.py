@@ -19,9 +19,15 @@ from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.footage.fixed import FixedState, fixed_cells
 from mlbs_actors.kernels.interpolation import sample_map
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence, camera_homography, homography_motion
+from mlbs_actors.tracking.camera import (
+    CameraEvidence,
+    camera_evidence,
+    camera_homography,
+    explained_share,
+    homography_motion,
+)
 from mlbs_actors.tracking.density import within_room
-from mlbs_actors.tracking.epipolar import explains, forward_motion, static_motion
+from mlbs_actors.tracking.epipolar import forward_motion, static_motion
 from mlbs_actors.tracking.rolling_shutter import Swing, swing_of_rows
 from mlbs_actors.tracking.seeding import seed_trajectories
 from mlbs_actors.tracking.trajectories import (
@@ -109,9 +115,9 @@ def track(
     voters = evenly_spread(trajectories.positions, informative, 2 * spacing)
     places, motions = trajectories.positions[voters], trajectories.motions[voters]
     camera = camera_homography(places, motions, scale, settings)
-    planar = explains(camera, places, motions, shape, settings)
-    swing = None
-    found = None if planar else swing_of_rows(places, motions, camera, shape[0], scale, settings)
+    explained = explained_share(camera, places, motions, scale, settings)
+    planar, swing = explained > settings.most_planar, None
+    found = None if planar else swing_of_rows(places, motions, explained, shape[0], scale, settings)
     if found is not None:
         swing, camera = found
     nothing = np.zeros(gray.shape, np.float32)

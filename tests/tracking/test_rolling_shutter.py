@@ -7,7 +7,12 @@ import pytest
 
 from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import camera_evidence, camera_homography, homography_motion
+from mlbs_actors.tracking.camera import (
+    camera_evidence,
+    camera_homography,
+    explained_share,
+    homography_motion,
+)
 from mlbs_actors.tracking.rolling_shutter import Swing, swing_of_rows
 
 CONFIG = TrajectoriesConfig()
@@ -29,7 +34,8 @@ def seen(swing: Swing | None, moving: float = 0.0) -> tuple[Array, Array]:
 
 def found(positions: Array, motions: Array) -> tuple[Swing, Array] | None:
     camera = camera_homography(positions, motions, 1.0, CONFIG)
-    return swing_of_rows(positions, motions, camera, HEIGHT, 1.0, CONFIG)
+    explained = explained_share(camera, positions, motions, 1.0, CONFIG)
+    return swing_of_rows(positions, motions, explained, HEIGHT, 1.0, CONFIG)
 
 
 @pytest.mark.parametrize("moving", [0.0, 0.08])
