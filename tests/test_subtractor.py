@@ -55,6 +55,29 @@ def pan() -> tuple[SyntheticScene, list[Array], list[Result]]:
     return video, pictures, run(pictures)
 
 
+def test_a_flow_function_is_asked_once_for_each_pair_of_frames_whatever_happens_between_them(
+    pan: tuple[SyntheticScene, list[Array], list[Result]],
+) -> None:
+    dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+    asked: list[tuple[int, int]] = []
+
+    def flow(one: Array, other: Array) -> Array:
+        asked.append((hash(one.tobytes()), hash(other.tobytes())))
+        first, second = (cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) for picture in (one, other))
+        motion: Array = dis.calc(first, second, None)  # type: ignore[call-overload]
+        return motion
+
+    _, pictures, _ = pan
+    darker = [(0.5 * picture).astype(np.uint8) for picture in pictures[6:8]]
+    elsewhere = pictures_of(scene("pan", frames=60, seed=1), 7)
+    shown = [*pictures[:6], *darker, *pictures[8:10], *elsewhere, *pictures[10:12]]
+    subtractor = MultilayerSubtractor(flow=flow)
+    results = [one for picture in shown for one in subtractor.apply(picture)] + subtractor.flush()
+    assert [one.status for one in results].count("cut") == 2  # there and back
+    assert len(asked) == len(set(asked))
+    assert len(asked) > 2 * (len(shown) - 1)  # frames that wait are compared with the next one, too
+
+
 def test_a_call_from_another_thread_while_a_frame_is_worked_on_is_refused_and_does_no_harm(
     pan: tuple[SyntheticScene, list[Array], list[Result]],
 ) -> None:

@@ -69,7 +69,8 @@ def gray_levels(pixels: Array, shape: tuple[int, int]) -> Array:
     gray: Array = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
     if detail(*shape) == 1.0:
         return gray
-    brightest = cv2.max(cv2.max(pixels[..., 0], pixels[..., 1]), pixels[..., 2])
+    blue, green, red = cv2.split(pixels)  # OpenCV would copy each for itself
+    brightest = cv2.max(cv2.max(blue, green), red)
     mixed: Array = cv2.addWeighted(gray, 0.5, brightest, 0.5, 0.0)
     return mixed
 
