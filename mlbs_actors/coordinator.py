@@ -18,7 +18,7 @@ tell the camera's motion the layers go on, but nothing is clustered.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -36,7 +36,7 @@ from mlbs_actors.coordinator_labels import cluster, observe
 from mlbs_actors.coordinator_state import CoordinatorState, NewFrame, UnsettledFrame
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.consistency import DenseFlow
-from mlbs_actors.flow.estimate import LEAST_CELLS, FlowFunction, Picture, estimate_flow, picture_of
+from mlbs_actors.flow.estimate import LEAST_CELLS, FlowEstimator, FlowFunction, Picture, picture_of
 from mlbs_actors.flow.focus import focus_blocks, focus_boxes
 from mlbs_actors.footage.continuation import continuation
 from mlbs_actors.footage.continuity import LEAST_FOUND, found_again, is_torn, rows_astray, tells_motion
@@ -51,7 +51,6 @@ from mlbs_actors.messages import (
     FrameStatus,
     LayerKind,
     LayerTracks,
-    Region,
     Segmentation,
 )
 from mlbs_actors.stages import timed
@@ -73,9 +72,6 @@ __all__ = ["Coordinator"]
 LASTING_LIGHT = 3
 #: After so many frames in which the last picture is not found, the scene is taken for another one.
 LONGEST_LOSS = 5
-#: Pairs of frames between which the flow of a caller's function is remembered: a frame that waits is compared
-#: with the last picture, the next frame and the scenes that were left.
-REMEMBERED_FLOWS = 6
 #: So many scenes that were left are remembered.
 MOST_SCENES = 3
 #: An object rests if less than this share of its trajectories has evidence of motion.
@@ -142,7 +138,7 @@ class Coordinator:
         self.ignored = ignored
         self.tracks = tracks
         self.state = state or CoordinatorState.beginning(config)
-        self._given_flows: list[tuple[Array, Array, DenseFlow]] = []
+        self._flows = FlowEstimator(config, flow)
 
     def feedback_index(self, frame_index: int) -> int | None:
         """Return the frame whose segmentation :meth:`step` reads, two before the newest to emit, if any."""
@@ -277,8 +273,9 @@ class Coordinator:
         """If the picture is one of a scene that was left, take its objects for lost ones of this scene."""
         state, config = self.state, self.config
         assert state.shape is not None
+        side = cell_side(state.shape, config.grid.cell_px)
         for scene in state.left:
-            flow = self._flow_between(scene.view, picture)
+            flow = self._flows.between(scene.view, picture, side)
             if found_again(flow, scene.view.gray, picture.gray) >= LEAST_FOUND:
                 lost = moved_registry(scene, flow, length_scale(*state.shape), config.trajectories)
                 state.registry = state.registry.with_lost(lost)
@@ -301,6 +298,7 @@ class Coordinator:
         """
         state, config, picture = self.state, self.config, new.picture
         assert state.shape is not None
+        side = cell_side(state.shape, config.grid.cell_px)
         flow, light, gray = None, unchanged(), state.picture.gray
         status: FrameStatus = "ok"
         astray, told, whole = np.zeros(0, np.float32), True, True
@@ -308,7 +306,7 @@ class Coordinator:
             boxes = focus_boxes(state.focus, picture.gray.shape, config.flow) if state.focus.size else None
 
             def search(before: Picture, closely: bool) -> DenseFlow:
-                return self._flow_between(before, picture, None if closely else boxes)
+                return self._flows.between(before, picture, side, None if closely else boxes)
 
             with timed(stage_ms, "flow"):
                 goes_on = continuation(state.picture, state.colours, picture, new.frame, search)
@@ -340,27 +338,10 @@ class Coordinator:
 
     def _begins(self, unsettled: UnsettledFrame, picture: Picture) -> bool:
         """Whether a frame in which the last picture was not found goes on in the next one: a new scene."""
-        before = unsettled.new.picture
-        flow = self._flow_between(before, picture)
-        return found_again(flow, before.gray, picture.gray) >= LEAST_FOUND
-
-    def _flow_between(
-        self, before: Picture, picture: Picture, boxes: Sequence[Region] | None = None
-    ) -> DenseFlow:
-        """Estimate the flow between two pictures, fine only in some boxes, in cells, if there are any.
-
-        A caller's function, which may cost more than all else, is asked once for each pair of frames.
-        """
         assert self.state.shape is not None
-        side = cell_side(self.state.shape, self.config.grid.cell_px)
-        if self.flow is None:
-            return estimate_flow(before, picture, side, self.config, boxes)
-        for first, second, known in self._given_flows:
-            if first is before.image and second is picture.image:
-                return known
-        flow = estimate_flow(before, picture, side, self.config, None, self.flow)
-        self._given_flows = [*self._given_flows[1 - REMEMBERED_FLOWS :], (before.image, picture.image, flow)]
-        return flow
+        before, side = unsettled.new.picture, cell_side(self.state.shape, self.config.grid.cell_px)
+        flow = self._flows.between(before, picture, side)
+        return found_again(flow, before.gray, picture.gray) >= LEAST_FOUND
 
     def _take(
         self,

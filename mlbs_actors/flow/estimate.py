@@ -9,6 +9,7 @@ Another method is another branch of :func:`estimate_flow`.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -24,10 +25,22 @@ from mlbs_actors.flow.patch_search import PATCH
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array, Region
 
-__all__ = ["LEAST_CELLS", "FlowFunction", "Picture", "estimate_flow", "gray_levels", "picture_of"]
+__all__ = [
+    "LEAST_CELLS",
+    "FlowEstimator",
+    "FlowFunction",
+    "Picture",
+    "estimate_flow",
+    "gray_levels",
+    "picture_of",
+]
 
 #: A frame with fewer cells on a side has no flow: two patches.
 LEAST_CELLS = 2 * PATCH
+
+#: Pairs of frames whose flow is remembered: a frame that waits is compared with the last picture, the next
+#: frame and the scenes that were left.
+REMEMBERED = 6
 
 #: Maps two frames (H, W, 3) uint8 BGR to (H, W, 2) float: the displacement of each pixel from the first frame
 #: to the second, px.
@@ -120,6 +133,37 @@ def estimate_flow(
         planes = search_both_ways(previous.gray, current.gray, config.flow, focus)
         forward, backward = (_interleaved(one, np.float32(side)) for one in planes)
     return checked_flow(forward, backward, side, config.trajectories)
+
+
+class FlowEstimator:
+    """:func:`estimate_flow` of one stream, which asks a caller's function once for each pair of frames.
+
+    That may cost more than all else, and takes neither boxes nor new light into account: where a pair is
+    compared again for their sake, or a frame has waited, it would be asked the same once more.
+
+    Parameters
+    ----------
+    config : Config
+    function : FlowFunction, optional
+        The caller's own, in place of ``config.flow.method``.
+    """
+
+    def __init__(self, config: Config, function: FlowFunction | None) -> None:
+        self._config, self._function = config, function
+        self._known = deque[tuple[Array, Array, DenseFlow]](maxlen=REMEMBERED)
+
+    def between(
+        self, previous: Picture, current: Picture, side: int, focus: Sequence[Region] | None = None
+    ) -> DenseFlow:
+        """Estimate as :func:`estimate_flow`, with the same parameters."""
+        if self._function is None:
+            return estimate_flow(previous, current, side, self._config, focus)
+        for first, second, flow in self._known:
+            if first is previous.image and second is current.image:
+                return flow
+        flow = estimate_flow(previous, current, side, self._config, None, self._function)
+        self._known.append((previous.image, current.image, flow))
+        return flow
 
 
 @compiled
