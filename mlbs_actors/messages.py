@@ -148,6 +148,8 @@ class FrameEvidence:
     unexplained : (h, w) uint8
         How badly the camera's own motion explains the image, in units of ``UNEXPLAINED_STEP`` times the
         frame's noise; 0 for frame 0.
+    colours : (h, w, 3) uint8
+        Mean colours of the frame's cells, BGR.
     tracks : tuple of LayerTracks
         The live layers in ascending id; the background (id 0) is always first.
     positions, motions : (n, 2) float32
@@ -182,6 +184,7 @@ class FrameEvidence:
     flow: Array
     flow_reliable: Array
     unexplained: Array
+    colours: Array
     tracks: tuple[LayerTracks, ...]
     positions: Array
     motions: Array

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from mlbs_actors.config import Config
-from mlbs_actors.coordinator import Coordinator
-from mlbs_actors.coordinator_state import CoordinatorState
+from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import ConfigError, MlbsError
 from mlbs_actors.flow.estimate import FlowFunction
@@ -130,6 +129,7 @@ class MultilayerSubtractor:
             )
         self.config = config or Config()
         self._inspector = inspector
+        self._arguments = self.config, inspector, flow, ignored, tracks  # to pickle
         self._coordinator = Coordinator(self.config, flow=flow, ignored=ignored, tracks=tracks)
         self._segmenter = Segmenter(self.config)
         self._layers: dict[int, Layer] = {}
@@ -152,19 +152,15 @@ class MultilayerSubtractor:
                 tuple(self._known),
             )
             return {
-                "arguments": (
-                    self.config, self._inspector, self._coordinator.flow, self._coordinator.ignored,
-                    self._coordinator.tracks,
-                ),
+                "arguments": self._arguments,
                 "tags": self._tags,
                 "state": capture(state),
-            }  # fmt: skip
+            }
 
     def __setstate__(self, pickled: dict[str, Any]) -> None:
         self.__init__(*pickled["arguments"])  # type: ignore[misc]
         state = pickled["state"].state(_SubtractorState)
-        made = self._coordinator
-        self._coordinator = Coordinator(self.config, state.coordinator, made.flow, made.ignored, made.tracks)
+        self._coordinator.state = state.coordinator
         self._segmenter = Segmenter(self.config, state.segmenter)
         self._layers = {
             layer: Layer(self.config, layer, one.kind, one.state) for layer, one in state.layers.items()
@@ -303,7 +299,7 @@ class MultilayerSubtractor:
             if one.layer not in self._layers:
                 self._layers[one.layer] = Layer(self.config, one.layer, one.kind)
             layer = self._layers[one.layer]
-            posteriors.append(readonly(layer.step(evidence, frame, self._published.get(index - 1))))
+            posteriors.append(readonly(layer.step(evidence, self._published.get(index - 1))))
         segmentation = self._segmenter.step(evidence, frame, posteriors)
         self._published = {known: result for known, result in self._published.items() if known > index - 3}
         self._published[index] = segmentation

@@ -54,7 +54,6 @@ def warm_layer() -> None:
     height, width = 480, 640
     cells = (height // 2, width // 2)
     random = np.random.default_rng(0)
-    frame = _read_only(random.integers(0, 256, (height, width, 3), dtype=np.uint8))
     columns, rows = np.meshgrid(np.arange(140, 180, 8), np.arange(100, 140, 8))
     count = columns.size  # of each layer's trajectories, which are at the same places
     positions = np.tile(np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float32), (2, 1))
@@ -71,6 +70,7 @@ def warm_layer() -> None:
                 flow=np.zeros((*cells, 2), np.float32),
                 flow_reliable=np.ones(cells, bool),
                 unexplained=np.full(cells, 255, np.uint8),
+                colours=random.integers(0, 256, (*cells, 3), dtype=np.uint8),
                 tracks=tuple(
                     LayerTracks(one, kinds[one], t - 1, one * count, (one + 1) * count) for one in range(2)
                 ),
@@ -79,7 +79,7 @@ def warm_layer() -> None:
                 retired=(),
                 latency_frames=0,
             )
-            part.step(readonly(evidence), frame, previous)
+            part.step(readonly(evidence), previous)
             segmentation = Segmentation(
                 frame_index=t,
                 labels=np.full((height, width), layer, np.uint16),
@@ -116,6 +116,7 @@ def _label_small_scene() -> None:
         for frame in _small_scene():
             subtractor.apply(frame)
     _focus_on_crowd()
+    _change_light()
 
 
 @contextmanager
@@ -197,6 +198,14 @@ def _focus_on_crowd() -> None:
     blocks = np.zeros((12, 16), bool)
     blocks[:6, :6] = blocks[6:, 6:] = True
     focus_boxes(blocks, (12 * BLOCK, 16 * BLOCK), Config().flow)
+
+
+def _change_light() -> None:
+    """Compare colours before and after the light has become another one."""
+    from mlbs_actors.footage.light import light_change
+
+    before = np.arange(600, dtype=np.uint8).reshape(-1, 3)
+    light_change(before, before // 2 + 40)
 
 
 def _read_only(array: Array) -> Array:

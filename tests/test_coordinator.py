@@ -336,7 +336,12 @@ def test_a_trajectory_ends_where_the_image_no_longer_shows_its_point() -> None:
         for t, picture in enumerate(pictures):
             coordinator.step(t, picture, None)
         left.append(
-            int(((coordinator.state.labels > BACKGROUND) & (coordinator.state.trajectories.ages > 1)).sum())
+            int(
+                (
+                    (coordinator.state.epoch.labels > BACKGROUND)
+                    & (coordinator.state.epoch.trajectories.ages > 1)
+                ).sum()
+            )
         )
     assert left[0] < left[1]
 
@@ -354,14 +359,23 @@ def test_past_the_cap_objects_share_a_layer_of_their_own_kind() -> None:
 # Always the same
 
 
+def labels_of_trajectories(coordinator: Coordinator) -> dict[int, int]:
+    epoch = coordinator.state.epoch
+    return dict(zip(epoch.trajectories.ids.tolist(), epoch.labels.tolist(), strict=True))
+
+
 def test_between_two_clusterings_trajectories_keep_their_labels_and_new_ones_wait() -> None:
     config = configured(init_frames=2, clustering_period=4)
     coordinator = Coordinator(config)
     clustered = []
     for t, picture in enumerate(movie(13, CAR)):
-        before = dict(zip(coordinator.state.trajectories.ids, coordinator.state.labels, strict=True))
+        before = dict(
+            zip(coordinator.state.epoch.trajectories.ids, coordinator.state.epoch.labels, strict=True)
+        )
         evidence = coordinator.step(t, picture, None)
-        after = dict(zip(coordinator.state.trajectories.ids, coordinator.state.labels, strict=True))
+        after = dict(
+            zip(coordinator.state.epoch.trajectories.ids, coordinator.state.epoch.labels, strict=True)
+        )
         if any("affinity" in one.stage_ms for one in evidence):
             clustered.append(t)
         elif t > 0:

@@ -30,6 +30,7 @@ def test_evidence_is_the_same_in_every_field(points: tuple[int, ...]) -> None:
         flow=rng.random((24, 32, 2)).astype(np.float32),
         flow_reliable=rng.random((24, 32)) < 0.5,
         unexplained=rng.integers(0, 256, (24, 32)).astype(np.uint8),
+        colours=rng.integers(0, 256, (24, 32, 3)).astype(np.uint8),
         retired=(7, 9),
         latency_frames=2,
         stage_ms={"flow": 1.5},

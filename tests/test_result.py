@@ -152,9 +152,10 @@ def test_an_id_has_not_ended_while_a_held_frame_or_a_part_has_it() -> None:
     subtractor = MultilayerSubtractor(load_config(None, ["layers.lookahead=2"]))
     for picture in pictures_of("pan", 10):
         subtractor.apply(picture)
-    state, parts = subtractor._coordinator.state, PartsState(*np.array([[88], [0], [99], [0], [0], [0]]))
-    first, *others = state.held
-    state.held = (replace(first, labels=np.full_like(first.labels, 77)), *others)
+    epoch = subtractor._coordinator.state.epoch
+    parts = PartsState(*np.array([[88], [0], [99], [0], [0], [0]]))
+    first, *others = epoch.held
+    epoch.held = (replace(first, labels=np.full_like(first.labels, 77)), *others)
     subtractor._segmenter.state = replace(subtractor._segmenter.state, parts=parts)
     assert {77, 99} <= subtractor._possible_ids([])
 

@@ -14,8 +14,7 @@ import pytest
 from test_coordinator import Square, configured, movie
 
 from mlbs_actors import Config, Segmentation
-from mlbs_actors.coordinator import Coordinator
-from mlbs_actors.coordinator_state import CoordinatorState
+from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import SnapshotError
 from mlbs_actors.layer.layer import Layer
@@ -232,7 +231,7 @@ class Engine:
         posteriors = []
         for own in evidence.tracks:
             layer = self.layers.setdefault(own.layer, Layer(self.config, own.layer, own.kind))
-            posteriors.append(layer.step(evidence, picture, self.published.get(index - 1)))
+            posteriors.append(layer.step(evidence, self.published.get(index - 1)))
         result = self.segmenter.step(evidence, picture, posteriors)
         self.published[index] = result
         self.published.pop(index - 3, None)
@@ -270,7 +269,7 @@ def compare(config: Config, pictures: list[Array], folder: Path) -> set[str]:
             restored = restored.through_files(folder / str(t))
             expected = list(undisturbed.apply(picture))
             assert list(restored.apply(picture)) == expected, t
-            registry = undisturbed.coordinator.state.registry
+            registry = undisturbed.coordinator.state.epoch.registry
             happened = {
                 "birth": (registry.born > 0).any(),
                 "sleep": ((registry.labels > 0) & (registry.seen < t)).any(),

@@ -75,7 +75,7 @@ class LayerPart(Protocol):
 
     state: Any
 
-    def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> LayerPosterior:
+    def step(self, evidence: FrameEvidence, previous: Segmentation | None) -> LayerPosterior:
         """Finish frame t−1 with its labels, then predict and evaluate frame t."""
 
     def appearance(self) -> LayerAppearance:

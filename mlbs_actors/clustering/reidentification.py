@@ -44,14 +44,14 @@ class Sighting:
 
 
 @compiled
-def colours_at(frame: Array, positions: Array) -> Array:
-    """Return the colours of the pixels nearest to some positions, (n, 3) uint8."""
+def colours_at(cells: Array, positions: Array, side: int) -> Array:
+    """Return the colours of the cells (h, w, 3) of ``side`` px in which some positions (n, 2) lie: (n, 3)."""
     colours = np.empty((positions.shape[0], 3), np.uint8)
     for i in range(positions.shape[0]):
-        x = min(max(int(np.rint(positions[i, 0])), 0), frame.shape[1] - 1)
-        y = min(max(int(np.rint(positions[i, 1])), 0), frame.shape[0] - 1)
+        x = min(max(int(np.rint(positions[i, 0])) // side, 0), cells.shape[1] - 1)
+        y = min(max(int(np.rint(positions[i, 1])) // side, 0), cells.shape[0] - 1)
         for channel in range(3):
-            colours[i, channel] = frame[y, x, channel]
+            colours[i, channel] = cells[y, x, channel]
     return colours
 
 

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.config import length_scale
+from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.rolling_shutter import Swing
 from mlbs_actors.tracking.trajectories import evenly_spread
@@ -36,6 +37,9 @@ SIDE_POINTS = 50
 FOCAL_LENGTHS, USUAL, LEAST_MORE = (0.7, 1.1, 2.0, 4.0), 1.1, 0.05
 #: Weight of the last pictures.
 NEWEST = 0.2
+#: So many clusterings rate the focal lengths, and then one in so many: zooming is slow, and rating takes as
+#: long as all matrices that are wanted.
+FIRST_RATINGS, RATING_PERIOD = 10, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +70,12 @@ class FocalLength:
     ----------
     shares : tuple of float
         For each of ``FOCAL_LENGTHS``, the share of the trajectories that it explained, averaged over time.
+    clusterings : int
+        How many there have been that could rate it.
     """
 
     shares: tuple[float, ...] = (0.0,) * len(FOCAL_LENGTHS)
+    clusterings: int = 0
 
     @property
     def best(self) -> float:
@@ -78,7 +85,7 @@ class FocalLength:
         return FOCAL_LENGTHS[best] if self.shares[best] > usual + LEAST_MORE else USUAL
 
     def rated(self, pairs: Pairs, points: Array, fitted: Array) -> FocalLength:
-        """Add what the last pictures tell.
+        """Add what the last pictures tell, if they are to be rated.
 
         Parameters
         ----------
@@ -88,12 +95,15 @@ class FocalLength:
         fitted : (j,) intp
             Those of them to which the matrices are fitted.
         """
+        clusterings = self.clusterings + 1
+        if clusterings > FIRST_RATINGS and clusterings % RATING_PERIOD:
+            return replace(self, clusterings=clusterings)
         shares = []
         for length, before in zip(FOCAL_LENGTHS, self.shares, strict=True):
             found = in_scene(replace(pairs, focal_length=length), fitted)
             share = 0.0 if found is None else float(found[1][points].mean())
             shares.append((1 - NEWEST) * before + NEWEST * share)
-        return FocalLength(tuple(shares))
+        return FocalLength(tuple(shares), clusterings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,18 +182,31 @@ def in_scene(pairs: Pairs, chosen: Array) -> tuple[Array, Array] | None:
     some = np.flatnonzero(inliers)
     some = some[:: 1 + len(some) // SIDE_POINTS]
     _, rotation, translation, _ = cv2.recoverPose(essential, ends[some], starts[some], camera)
-    # Where points at infinity would have come from, and which way nearer ones did.
-    turned = camera @ rotation @ np.linalg.inv(camera)
-    farthest = cv2.perspectiveTransform(pairs.now[None], turned)[0]
-    epipole = (camera @ translation).ravel()
-    towards = epipole[:2] - epipole[2] * farthest
-    towards /= np.maximum(np.hypot(*towards.T), 1e-9)[:, None]
-    parallax = pairs.before - farthest
-    length = np.hypot(*parallax.T)
-    off = np.abs(parallax[:, 0] * towards[:, 1] - parallax[:, 1] * towards[:, 0]) - INLIER_PX * pairs.scale
-    static = off < INLIER_RELATIVE * np.minimum(length, MOST_PARALLAX_PX * pairs.scale)
-    static &= (parallax * towards).sum(axis=1) > -BEHIND_PX * pairs.scale
-    return np.asarray(off < INLIER_RELATIVE * length), static
+    turned, epipole = camera @ rotation @ np.linalg.inv(camera), (camera @ translation).ravel()
+    explained, static = _obeying(pairs.now, pairs.before, turned, epipole, pairs.scale)
+    return explained, static
+
+
+@compiled
+def _obeying(now: Array, before: Array, turned: Array, epipole: Array, scale: float) -> tuple[Array, Array]:
+    """Compute :func:`in_scene` for a camera that has turned, (3, 3) px to px, and moved away from a point."""
+    explained, static = np.empty(len(now), np.bool_), np.empty(len(now), np.bool_)
+    for point in range(len(now)):
+        x, y = now[point]
+        # Where a point at infinity would have come from, and which way a nearer one did.
+        depth = turned[2, 0] * x + turned[2, 1] * y + turned[2, 2]
+        far_x = (turned[0, 0] * x + turned[0, 1] * y + turned[0, 2]) / depth
+        far_y = (turned[1, 0] * x + turned[1, 1] * y + turned[1, 2]) / depth
+        towards_x, towards_y = epipole[0] - epipole[2] * far_x, epipole[1] - epipole[2] * far_y
+        length = max(np.hypot(towards_x, towards_y), 1e-9)
+        towards_x, towards_y = towards_x / length, towards_y / length
+        parallax_x, parallax_y = before[point, 0] - far_x, before[point, 1] - far_y
+        parallax = np.hypot(parallax_x, parallax_y)
+        off = abs(parallax_x * towards_y - parallax_y * towards_x) - INLIER_PX * scale
+        forward = parallax_x * towards_x + parallax_y * towards_y > -BEHIND_PX * scale
+        explained[point] = off < INLIER_RELATIVE * parallax
+        static[point] = forward and off < INLIER_RELATIVE * min(parallax, MOST_PARALLAX_PX * scale)
+    return explained, static
 
 
 def on_plane(pairs: Pairs, chosen: Array) -> Array | None:

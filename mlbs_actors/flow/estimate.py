@@ -53,22 +53,25 @@ class Picture:
 
     Attributes
     ----------
+    colours : (h, w, 3) uint8
+        Mean colours of its cells, BGR.
     gray : (h, w) uint8
-        Mean grey levels of its cells.
+        Their grey levels, as the flow sees them.
     image : (H, W, 3) uint8
         BGR; empty unless the caller supplies the flow function.
     """
 
+    colours: Array
     gray: Array
     image: Array
 
 
-def gray_levels(pixels: Array, shape: tuple[int, int]) -> Array:
+def gray_levels(colours: Array, shape: tuple[int, int]) -> Array:
     """Reduce colours to one value each, in which a frame of this size is followed.
 
     Parameters
     ----------
-    pixels : (n, m, 3) uint8
+    colours : (n, m, 3) uint8
         BGR.
     shape : (int, int)
         (H, W) of the frame that they are from.
@@ -79,10 +82,10 @@ def gray_levels(pixels: Array, shape: tuple[int, int]) -> Array:
         Their brightness; in a large frame, the mean of that and the brightest channel. What is small there
         may have few places that are brighter or darker than what is around it, and only its colour to go by.
     """
-    gray: Array = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
+    gray: Array = cv2.cvtColor(colours, cv2.COLOR_BGR2GRAY)
     if detail(*shape) == 1.0:
         return gray
-    blue, green, red = cv2.split(pixels)  # OpenCV would copy each for itself
+    blue, green, red = cv2.split(colours)
     brightest = cv2.max(cv2.max(blue, green), red)
     mixed: Array = cv2.addWeighted(gray, 0.5, brightest, 0.5, 0.0)
     return mixed
@@ -90,8 +93,12 @@ def gray_levels(pixels: Array, shape: tuple[int, int]) -> Array:
 
 def picture_of(frame: Array, side: int, whole: bool) -> Picture:
     """Prepare a (H, W, 3) uint8 BGR frame with cells of ``side`` px; keep all of it if ``whole``."""
-    gray = mean_of_cells(gray_levels(frame, frame.shape[:2]), side)
-    return Picture(gray, frame.copy() if whole else np.zeros((0, 0, 3), np.uint8))
+    colours = mean_of_cells(frame, side)
+    if detail(*frame.shape[:2]) > 1.0:
+        gray = gray_levels(colours, frame.shape[:2])
+    else:  # few pixels: they are rounded once, not twice
+        gray = mean_of_cells(gray_levels(frame, frame.shape[:2]), side)
+    return Picture(colours, gray, frame.copy() if whole else np.zeros((0, 0, 3), np.uint8))
 
 
 def estimate_flow(

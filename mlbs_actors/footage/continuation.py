@@ -7,12 +7,12 @@ not, a second one looks everywhere, and if the light is new, a third one from th
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mlbs_actors.flow.consistency import DenseFlow
-from mlbs_actors.flow.estimate import Picture, gray_levels
-from mlbs_actors.footage.continuity import LEAST_FOUND, SURELY_ALIKE, correlated, found_again
-from mlbs_actors.footage.light import light_change, matched_colours, relit, saturates, strength
+from mlbs_actors.flow.estimate import Picture
+from mlbs_actors.footage.continuity import LEAST_FOUND, SURELY_ALIKE, Likeness, found_again
+from mlbs_actors.footage.light import light_change, matched_places, relit, saturates, strength
 from mlbs_actors.messages import Array
 
 __all__ = ["Continuation", "continuation"]
@@ -28,6 +28,8 @@ class Continuation:
     Attributes
     ----------
     flow : DenseFlow
+    alike : Likeness
+        Of the two pictures along the flow.
     found : bool
         Whether it does at all.
     whole : bool
@@ -41,6 +43,7 @@ class Continuation:
     """
 
     flow: DenseFlow
+    alike: Likeness
     found: bool
     whole: bool
     light: Array
@@ -50,9 +53,7 @@ class Continuation:
 
 def continuation(
     before: Picture,
-    colours: Array,
     picture: Picture,
-    frame: Array,
     search: Callable[[Picture, bool], DenseFlow],
 ) -> Continuation:
     """Find the last picture again in a new one.
@@ -61,10 +62,6 @@ def continuation(
     ----------
     before, picture : Picture
         The last one and the new one.
-    colours : (rows, columns, 3) uint8
-        :func:`~mlbs_actors.footage.light.colour_samples` of the last one.
-    frame : (H, W, 3) uint8
-        The new one.
     search : callable
         Returns the flow to the new picture from another one; whether to look closely everywhere.
 
@@ -73,34 +70,33 @@ def continuation(
     Continuation
     """
     flow = search(before, False)
-    light, gray_light, glaring = _light(colours, frame, flow)
-    found, whole = LEAST_FOUND, correlated(flow, before.gray, picture.gray) >= SURELY_ALIKE
+    alike = Likeness.along(flow, before.gray, picture.gray)
+    light, gray_light, glaring = _light(before, picture, flow)
+    found, whole = LEAST_FOUND, alike.share() >= SURELY_ALIKE
     if not whole or strength(gray_light) > SMALL_CHANGE:
         closely = search(before, True)
-        found = found_again(closely, before.gray, picture.gray)
+        found = found_again(closely, Likeness.along(closely, before.gray, picture.gray))
         if found < LEAST_FOUND:
             gray_light = light_change(before.gray.reshape(-1, 1), picture.gray.reshape(-1, 1))
         if gray_light.size:
             lit = _relit_gray(before.gray, gray_light)
-            anew = search(Picture(lit, before.image), True)
-            found_anew = found_again(anew, lit, picture.gray)
+            anew = search(replace(before, gray=lit), True)
+            alike_anew = Likeness.along(anew, lit, picture.gray)
+            found_anew = found_again(anew, alike_anew)
             if found_anew > found:
-                flow, found = anew, found_anew
-                light, gray_light, glaring = _light(colours, frame, flow)
+                flow, alike, found = anew, alike_anew, found_anew
+                light, gray_light, glaring = _light(before, picture, flow)
     gray = _relit_gray(before.gray, gray_light)
-    return Continuation(flow, found >= LEAST_FOUND, whole, light, gray, glaring)
+    return Continuation(flow, alike, found >= LEAST_FOUND, whole, light, gray, glaring)
 
 
-def _light(colours: Array, frame: Array, flow: DenseFlow) -> tuple[Array, Array, bool]:
+def _light(before: Picture, picture: Picture, flow: DenseFlow) -> tuple[Array, Array, bool]:
     """How the colours and the grey levels have changed, and whether much of them is cut off."""
-    old, new = matched_colours(colours, frame, flow)
-    before, now = (_gray(one, frame.shape[:2]) for one in (old, new))
-    light, gray_light = light_change(old, new), light_change(before, now)
+    places, there = matched_places(flow)
+    old, new = before.colours.reshape(-1, 3)[places], picture.colours.reshape(-1, 3)[there]
+    light = light_change(old, new)
+    gray_light = light_change(before.gray.reshape(-1, 1)[places], picture.gray.reshape(-1, 1)[there])
     return light, gray_light, strength(light) > SMALL_CHANGE and saturates(old, light)
-
-
-def _gray(colours: Array, shape: tuple[int, int]) -> Array:
-    return gray_levels(colours[None], shape)[0][:, None] if len(colours) else colours[:, :1]
 
 
 def _relit_gray(gray: Array, change: Array) -> Array:

@@ -14,17 +14,20 @@ rest does.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
 from mlbs_actors.flow.consistency import DenseFlow
+from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.camera import homography_motion
 
 __all__ = [
     "LEAST_FOUND",
     "SURELY_ALIKE",
-    "correlated",
+    "Likeness",
     "found_again",
     "is_torn",
     "rows_astray",
@@ -38,8 +41,8 @@ LEAST_FOUND = 0.1
 #: Least share of the frame in which both directions agree and lead to the like, for the camera's motion to be
 #: told: seas, skies and walls have at most 0.06, also with something that moves in front, real scenes 0.22.
 LEAST_TOLD = 0.12
-#: Side of the windows that are correlated, and from one looked-at cell to the next, cells.
-WINDOW, WINDOW_STEP = 10, 2
+#: From one looked-at cell to the next, cells, and how many of them are the side of a window.
+WINDOW_STEP, WINDOW_SIDE = 2, 5
 #: A textured window's least variance, grey levels²; the least correlation of two that are alike; and the
 #: share of the windows without which nothing is said by them.
 TEXTURE, ALIKE, LEAST_TEXTURED = 16.0, 0.7, 0.002
@@ -54,69 +57,135 @@ TORN, WHOLE = 0.8, 0.5
 LEAST_BAND, MOST_BAND = 0.08, 0.9
 
 
-def found_again(flow: DenseFlow, before: Array, gray: Array) -> float:
+@dataclass(frozen=True, slots=True)
+class Likeness:
+    """How two pictures look alike along the flow, window by window.
+
+    Attributes
+    ----------
+    correlation : (rows, columns) float32
+        In [-1, 1], whatever the light; 0 where the flow leads out of the picture.
+    variance : (rows, columns) float32
+        The larger of the two windows', grey levels²; 0 where the flow leads out of the picture.
+    """
+
+    correlation: Array
+    variance: Array
+
+    @classmethod
+    def along(cls, flow: DenseFlow, before: Array, gray: Array) -> Likeness:
+        """Compare windows of two pictures (h, w) uint8, as the flow sees them."""
+        xs, ys, inside = _sources(flow.backward, np.float32(flow.side))
+        old = cv2.remap(before, xs, ys, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return cls(*_correlated(old, np.ascontiguousarray(gray[::WINDOW_STEP, ::WINDOW_STEP]), inside))
+
+    def share(self) -> float:
+        """Return the share of the textured places that look alike; 1 if hardly any is textured."""
+        textured = self.variance > TEXTURE
+        if textured.mean() < LEAST_TEXTURED:
+            return 1.0
+        return float((self.correlation[textured] > ALIKE).mean())
+
+
+def found_again(flow: DenseFlow, alike: Likeness) -> float:
     """How much of a picture is found again in the next one.
 
     Parameters
     ----------
     flow : DenseFlow
         Between the two, of which each direction was searched by itself.
-    before, gray : (h, w) uint8
-        The two, as the flow sees them.
+    alike : Likeness
+        Of the two along the flow.
 
     Returns
     -------
     float
         In [0, 1]. Below ``LEAST_FOUND`` the scene is another one.
     """
-    return float(flow.backward_reliable.mean()) * correlated(flow, before, gray)
+    return float(flow.backward_reliable.mean()) * alike.share()
 
 
-def correlated(flow: DenseFlow, before: Array, gray: Array) -> float:
-    """Share of the textured places that look alike in two pictures, as the flow leads from one to the other.
-
-    The correlation does not depend on the light. Parameters as of :func:`found_again`.
-    """
-    correlation, variance = _correlation(flow, before, gray)
-    textured = variance > TEXTURE
-    if textured.mean() < LEAST_TEXTURED:
-        return 1.0
-    return float((correlation[textured] > ALIKE).mean())
-
-
-def tells_motion(flow: DenseFlow, before: Array, gray: Array) -> bool:
+def tells_motion(flow: DenseFlow, alike: Likeness) -> bool:
     """Whether enough is found again in the next picture to tell the camera's motion.
 
     Faint structure counts as well, for fog hides little of the motion. Parameters as of :func:`found_again`,
     but one direction of the flow may be the other turned around.
     """
-    correlation, _ = _correlation(flow, before, gray)
-    confirmed = _windows(flow.backward_reliable[::WINDOW_STEP, ::WINDOW_STEP].astype(np.float32)) > 0.5
-    return float((confirmed & (correlation > ALIKE)).mean()) >= LEAST_TOLD
+    reliable = flow.backward_reliable[::WINDOW_STEP, ::WINDOW_STEP].astype(np.float32)
+    confirmed = cv2.blur(reliable, (WINDOW_SIDE, WINDOW_SIDE)) > 0.5
+    return float((confirmed & (alike.correlation > ALIKE)).mean()) >= LEAST_TOLD
 
 
-def _correlation(flow: DenseFlow, before: Array, gray: Array) -> tuple[Array, Array]:
-    """Correlation of the windows along the flow, and the larger variance of each two, grey levels².
-
-    Both are 0 where the flow leads out of the picture.
-    """
-    height, width = gray.shape
-    ys, xs = np.mgrid[0:height:WINDOW_STEP, 0:width:WINDOW_STEP].astype(np.float32)
-    moved = flow.backward[::WINDOW_STEP, ::WINDOW_STEP] / np.float32(flow.side)
-    xs, ys = xs + moved[..., 0], ys + moved[..., 1]
-    inside = (xs >= 0) & (xs <= width - 1) & (ys >= 0) & (ys <= height - 1)
-    old = cv2.remap(before, xs, ys, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
-    new = gray[::WINDOW_STEP, ::WINDOW_STEP].astype(np.float32)
-    mean_old, mean_new = _windows(old), _windows(new)
-    var_old = np.maximum(_windows(old * old) - mean_old * mean_old, 1e-3)
-    var_new = np.maximum(_windows(new * new) - mean_new * mean_new, 1e-3)
-    correlation = (_windows(old * new) - mean_old * mean_new) / np.sqrt(var_old * var_new)
-    return inside * correlation, inside * np.maximum(var_old, var_new)
+@compiled
+def _sources(backward: Array, side: np.float32) -> tuple[Array, Array, Array]:
+    """Return x and y, cells, where the flow comes from at the samples; and whether that is in the picture."""
+    height, width = backward.shape[:2]
+    shape = (height + WINDOW_STEP - 1) // WINDOW_STEP, (width + WINDOW_STEP - 1) // WINDOW_STEP
+    xs, ys, inside = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.bool_)
+    for row in range(shape[0]):
+        for column in range(shape[1]):
+            y, x = WINDOW_STEP * row, WINDOW_STEP * column
+            along = np.float32(x) + backward[y, x, 0] / side
+            down = np.float32(y) + backward[y, x, 1] / side
+            xs[row, column], ys[row, column] = along, down
+            inside[row, column] = 0 <= along <= width - 1 and 0 <= down <= height - 1
+    return xs, ys, inside
 
 
-def _windows(values: Array) -> Array:
-    side = WINDOW // WINDOW_STEP
-    return cv2.blur(values, (side, side))
+@compiled
+def _correlated(old: Array, new: Array, inside: Array) -> tuple[Array, Array]:
+    """Compute the fields of `Likeness` from samples of both pictures, which are mirrored at the border."""
+    height, width = new.shape
+    correlation, variance = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    reach, count = WINDOW_SIDE // 2, np.int32(WINDOW_SIDE * WINDOW_SIDE)
+    # Sums of old, new, old², new² and old · new: over the rows of a window, and over all of it.
+    columns, sums = np.empty((5, width + 2 * reach), np.int32), np.empty((5, width), np.int32)
+    share, least = np.float32(1 / (WINDOW_SIDE * WINDOW_SIDE) ** 2), np.float32(1e-3)
+    for y in range(height):
+        columns[:] = 0
+        for v in range(y - reach, y + reach + 1):
+            before, after = old[_mirrored(v, height)], new[_mirrored(v, height)]
+            _add_products(before, after, columns[:, reach : reach + width])
+        for x in range(-reach, 0):
+            end = width - 1 - x
+            columns[:, reach + x] = columns[:, reach + _mirrored(x, width)]
+            columns[:, reach + end] = columns[:, reach + _mirrored(end, width)]
+        sums[:] = 0
+        for moment in range(5):
+            total = sums[moment]
+            for u in range(WINDOW_SIDE):
+                beside = columns[moment, u : u + width]
+                for x in range(width):
+                    total[x] += beside[x]
+        first, second, squared, other_squared, both = sums[0], sums[1], sums[2], sums[3], sums[4]
+        row, varied, known = correlation[y], variance[y], inside[y]
+        for x in range(width):
+            var_old = max(np.float32(count * squared[x] - first[x] * first[x]) * share, least)
+            var_new = max(np.float32(count * other_squared[x] - second[x] * second[x]) * share, least)
+            together = np.float32(count * both[x] - first[x] * second[x]) * share
+            row[x] = np.float32(known[x]) * together / np.sqrt(var_old * var_new)
+            varied[x] = np.float32(known[x]) * max(var_old, var_new)
+    return correlation, variance
+
+
+@inlined
+def _add_products(before: Array, after: Array, sums: Array) -> None:
+    first, second, squared, other_squared, both = sums[0], sums[1], sums[2], sums[3], sums[4]
+    for x in range(before.size):
+        one, other = np.int32(before[x]), np.int32(after[x])
+        first[x] += one
+        second[x] += other
+        squared[x] += one * one
+        other_squared[x] += other * other
+        both[x] += one * other
+
+
+@compiled
+def _mirrored(at: int, length: int) -> int:
+    """Mirror an index at the first and last sample of a row."""
+    while length > 1 and not 0 <= at < length:
+        at = -at if at < 0 else 2 * length - 2 - at
+    return at if length > 1 else 0
 
 
 def rows_astray(flow: DenseFlow, camera: Array, scale: float) -> Array:
@@ -135,14 +204,28 @@ def rows_astray(flow: DenseFlow, camera: Array, scale: float) -> Array:
     (rows,) float32
         Of every ``STEP``-th row of cells, in [0, 1].
     """
-    motions = flow.backward[::STEP, ::STEP]
-    height, width = motions.shape[:2]
-    ys, xs = np.mgrid[0:height, 0:width]
-    step = STEP * flow.side
-    places = np.stack([xs, ys], axis=-1).reshape(-1, 2).astype(np.float32) * np.float32(step)
-    off = np.abs(motions.reshape(-1, 2) - homography_motion(camera, places)).max(axis=1)
-    astray = (off > ASTRAY_PX * scale).reshape(height, width) | ~flow.backward_reliable[::STEP, ::STEP]
-    return np.asarray(astray.mean(axis=1), np.float32)
+    shares: Array = _rows_astray(
+        flow.backward, flow.backward_reliable, camera, flow.side, np.float32(ASTRAY_PX * scale)
+    )
+    return shares
+
+
+@compiled
+def _rows_astray(flow: Array, reliable: Array, camera: Array, side: int, farthest: np.float32) -> Array:
+    """Compute :func:`rows_astray`; cells that are farther from where the camera leads them are astray."""
+    height, width = (reliable.shape[0] + STEP - 1) // STEP, (reliable.shape[1] + STEP - 1) // STEP
+    shares, places = np.empty(height, np.float32), np.empty((width, 2), np.float32)
+    for row in range(height):
+        y = STEP * row
+        for column in range(width):
+            places[column, 0], places[column, 1] = np.float32(STEP * column * side), np.float32(y * side)
+        motions, astray = homography_motion(camera, places), 0
+        for column in range(width):
+            moved, led = flow[y, STEP * column], motions[column]
+            off = max(abs(moved[0] - led[0]), abs(moved[1] - led[1]))
+            astray += int(off > farthest or not reliable[y, STEP * column])
+        shares[row] = np.float32(astray) / np.float32(width)
+    return shares
 
 
 def is_torn(rows: Array, before: Array) -> bool:

@@ -17,9 +17,8 @@ from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
 __all__ = [
-    "colour_samples",
     "light_change",
-    "matched_colours",
+    "matched_places",
     "relit",
     "saturates",
     "strength",
@@ -46,49 +45,22 @@ MOST_LEFT = 0.6
 MOST_CUT_OFF = 0.05
 
 
-def colour_samples(frame: Array, side: int) -> Array:
-    """Return mean colours of every ``STEP``-th cell of a frame.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8
-    side : int
-        Of a cell, px.
+def matched_places(flow: DenseFlow) -> tuple[Array, Array]:
+    """Find the same places in both pictures, as far as the flow between them is sure.
 
     Returns
     -------
-    (rows, columns, 3) uint8
+    before, after : (n,) int64
+        Cells of each picture, counted row by row: of every ``STEP``-th one before, and where it has gone.
     """
-    height, width = frame.shape[:2]
-    rows, columns = np.arange(0, height // side, STEP), np.arange(0, width // side, STEP)
-    xs, ys = np.meshgrid(columns, rows)
-    return _cell_colours(frame, side, xs.reshape(-1), ys.reshape(-1)).reshape(rows.size, columns.size, 3)
-
-
-def matched_colours(before: Array, frame: Array, flow: DenseFlow) -> tuple[Array, Array]:
-    """Colours of the same places in both pictures, as far as the flow is sure of them.
-
-    Parameters
-    ----------
-    before : (rows, columns, 3) uint8
-        :func:`colour_samples` of the picture before.
-    frame : (H, W, 3) uint8
-    flow : DenseFlow
-        Between the two.
-
-    Returns
-    -------
-    two (n, 3) uint8
-    """
-    ys, xs = (STEP * one.reshape(-1) for one in np.indices(before.shape[:2]))
-    sure = np.flatnonzero(reliable_at(flow.forward, flow.backward, flow.side, flow.thresholds, xs, ys))
-    xs, ys = xs[sure], ys[sure]
-    moved = np.rint(flow.forward[ys, xs] / np.float32(flow.side)).astype(np.int64)
     height, width = flow.forward.shape[:2]
-    there_x, there_y = xs + moved[:, 0], ys + moved[:, 1]
-    inside = (there_x >= 0) & (there_x < width - 1) & (there_y >= 0) & (there_y < height - 1)
-    after = _cell_colours(frame, flow.side, there_x[inside], there_y[inside])
-    return before.reshape(-1, 3)[sure[inside]], after
+    xs, ys = (one.reshape(-1) for one in np.meshgrid(np.arange(0, width, STEP), np.arange(0, height, STEP)))
+    sure = reliable_at(flow.forward, flow.backward, flow.side, flow.thresholds, xs, ys)
+    ys, xs = ys[sure], xs[sure]
+    moved = np.rint(flow.forward[ys, xs] / np.float32(flow.side)).astype(np.int64)
+    there_y, there_x = ys + moved[:, 1], xs + moved[:, 0]
+    inside = (there_x >= 0) & (there_x < width) & (there_y >= 0) & (there_y < height)
+    return (ys * width + xs)[inside], (there_y * width + there_x)[inside]
 
 
 def light_change(before: Array, after: Array) -> Array:
@@ -106,33 +78,42 @@ def light_change(before: Array, after: Array) -> Array:
     """
     if len(before) < LEAST_PLACES:
         return unchanged()
-    gains = [_gain(old, new) for old, new in zip(before.T, after.T, strict=True)]
+    gains = _gains(before, after)
     change, left = unchanged(), _difference(before, after)
     if np.abs(np.log(gains)).max() >= LEAST_GAIN:
         change = _table([(gain, 0.0) for gain in gains])
         left = _difference(relit(before, change), after)
     if left >= LEAST_CHANGE:
-        old, new = _quantiles(before).T, _quantiles(after).T
-        offset_too = _table([_gain_and_offset(*channel) for channel in zip(old, new, strict=True)])
+        quantiles = zip(_quantiles(before), _quantiles(after), strict=True)
+        offset_too = _table([_gain_and_offset(*channel) for channel in quantiles])
         if _difference(relit(before, offset_too), after) <= MOST_LEFT * left:
             return offset_too
     return change
 
 
-def _gain(old: Array, new: Array) -> float:
-    """By what a channel is multiplied: the median of the ratios of values that are not cut off.
+@compiled
+def _gains(before: Array, after: Array) -> Array:
+    """By what each channel is multiplied, (c,) float64: the median ratio of values that are not cut off.
 
     The second time those are told by the first gain and the mean of both pictures: of values near the end of
     the range, a bound on one picture would leave those that noise has darkened there.
     """
-    ratios = new / np.maximum(old, 1).astype(np.float64)
-    mean, gain = np.sqrt(old * new.astype(np.float64)), 1.0
-    for _ in range(2):
-        whole = (mean > DARKEST) & (mean * np.sqrt(max(gain, 1.0 / gain)) < BRIGHTEST - MARGIN)
-        if whole.sum() < LEAST_PLACES:
-            break
-        gain = float(np.median(ratios[whole]))
-    return gain
+    places, channels = before.shape
+    gains, ratios, means, whole = np.ones(channels), np.empty(places), np.empty(places), np.empty(places)
+    for channel in range(channels):
+        for place in range(places):
+            old, new = np.float64(before[place, channel]), np.float64(after[place, channel])
+            ratios[place], means[place] = new / max(old, 1.0), np.sqrt(old * new)
+        last = 0
+        for _ in range(2):
+            gain, count = np.sqrt(max(gains[channel], 1.0 / gains[channel])), 0
+            for place in range(places):
+                whole[count] = ratios[place]
+                count += int(means[place] > DARKEST and means[place] * gain < BRIGHTEST - MARGIN)
+            if count < LEAST_PLACES or count == last:  # too few, or the same ones once more
+                break
+            gains[channel], last = np.median(whole[:count]), count
+    return gains
 
 
 def _table(channels: list[tuple[float, float]]) -> Array:
@@ -143,10 +124,28 @@ def _table(channels: list[tuple[float, float]]) -> Array:
     )
 
 
+@compiled
 def _difference(before: Array, after: Array) -> float:
     """Mean over the channels of the median absolute difference, grey levels."""
-    differences = np.abs(before.astype(np.int16) - after)
-    return float(np.median(differences, axis=0).mean())
+    places, channels = before.shape
+    total = 0.0
+    for channel in range(channels):
+        counts = np.zeros(256, np.int64)
+        for place in range(places):
+            counts[abs(np.int64(before[place, channel]) - np.int64(after[place, channel]))] += 1
+        total += _ranked(counts, (places - 1) // 2) + _ranked(counts, places // 2)
+    mean: float = total / (2 * channels)
+    return mean
+
+
+@compiled
+def _ranked(counts: Array, rank: int) -> int:
+    """Return the value of a rank, from 0 on, of values that are counted (256,) int64."""
+    value, passed = 0, counts[0]
+    while passed <= rank:
+        value += 1
+        passed += counts[value]
+    return value
 
 
 def unchanged() -> Array:
@@ -193,8 +192,22 @@ def relit(values: Array, change: Array) -> Array:
 
 
 def _quantiles(values: Array) -> Array:
-    places = np.rint(QUANTILES * (len(values) - 1)).astype(np.intp)
-    return np.sort(values, axis=0)[places].astype(np.float64)
+    """Return ``QUANTILES`` of each channel, (c, 19) float64."""
+    ranks = np.rint(QUANTILES * (len(values) - 1)).astype(np.int64)
+    found: Array = _of_ranks(values, ranks)
+    return found
+
+
+@compiled
+def _of_ranks(values: Array, ranks: Array) -> Array:
+    found = np.empty((values.shape[1], ranks.size))
+    for channel in range(values.shape[1]):
+        counts = np.zeros(256, np.int64)
+        for place in range(len(values)):
+            counts[values[place, channel]] += 1
+        for place in range(ranks.size):
+            found[channel, place] = _ranked(counts, ranks[place])
+    return found
 
 
 def _gain_and_offset(old: Array, new: Array) -> tuple[float, float]:
@@ -207,17 +220,3 @@ def _gain_and_offset(old: Array, new: Array) -> tuple[float, float]:
         return 1.0, float(np.median(new - old))
     gain = float(new.std() / old.std())
     return gain, float(new.mean() - gain * old.mean())
-
-
-@compiled
-def _cell_colours(frame: Array, side: int, xs: Array, ys: Array) -> Array:
-    """Mean colours of cells, (n, 3) uint8."""
-    colours, cells = np.empty((xs.size, 3), np.uint8), side * side
-    for place in range(xs.size):
-        for channel in range(3):
-            total = cells // 2
-            for row in range(ys[place] * side, (ys[place] + 1) * side):
-                for column in range(xs[place] * side, (xs[place] + 1) * side):
-                    total += int(frame[row, column, channel])
-            colours[place, channel] = total // cells
-    return colours

@@ -42,7 +42,7 @@ import numpy as np
 from mlbs_actors.appearance.colour_density import AppearanceParameters, mean_confidence, warp_and_evaluate
 from mlbs_actors.appearance.colour_model import median_colours, relight, update
 from mlbs_actors.appearance.warp import warp_map
-from mlbs_actors.cells import cell_side, cells_won, in_cells, mean_of_cells, spread_over_cells
+from mlbs_actors.cells import cell_side, cells_won, in_cells, spread_over_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
 from mlbs_actors.footage.light import relit
@@ -121,14 +121,13 @@ class Layer:
         self.state = state or LayerState.beginning(config.appearance.samples)
         self.field: MotionField | None = None
 
-    def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> LayerPosterior:
+    def step(self, evidence: FrameEvidence, previous: Segmentation | None) -> LayerPosterior:
         """Finish frame t−1, then predict and evaluate frame t.
 
         Parameters
         ----------
         evidence : FrameEvidence
             Of frame t.
-        frame : (H, W, 3) uint8
         previous : Segmentation or None
             Published result of t−1; None for the first frame. One of another epoch is ignored.
 
@@ -156,7 +155,7 @@ class Layer:
         places = self._places(own, evidence, previous)
         self.field = self._motion_field(own, evidence, places.home)
         moved = perf_counter()
-        self.state = self._predict_and_evaluate(own, evidence, frame, places, self.field, last_posterior)
+        self.state = self._predict_and_evaluate(own, evidence, places, self.field, last_posterior)
         stage_ms = {
             "update": 1e3 * (learnt - started),
             "gabp": 1e3 * (moved - learnt),
@@ -223,7 +222,6 @@ class Layer:
         self,
         own: LayerEvidence,
         evidence: FrameEvidence,
-        frame: Array,
         places: _Places,
         field: MotionField,
         last_posterior: Array,
@@ -234,7 +232,7 @@ class Layer:
         part = slices_in(cells, home_cells)
         motions = field.dense(side) * np.float32(1.0 / side)  # in cells
         motion = np.ascontiguousarray(motions[part])
-        image = mean_of_cells(frame[home.slices], side)
+        image = evidence.colours[home_cells.slices].copy()
 
         carried, carried_in_region = motions, motion
         if not config.appearance.warp:

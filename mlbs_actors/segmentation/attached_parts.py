@@ -128,7 +128,7 @@ def find_parts(
     """
     step = max(1, round(min(labels.shape) / _ROWS))
     coarse = labels[::step, ::step]
-    areas = np.bincount(coarse.ravel())
+    areas = _areas(coarse)
     columns = (state.layers, state.appeared, state.part_of, state.apart, state.usual, state.live)
     rows = zip(*(one.tolist() for one in columns), strict=True)
     layers = {layer: _Layer(*row) for layer, *row in rows}
@@ -181,6 +181,13 @@ def find_parts(
         np.array([one.usual for _, one in ordered]),
         np.array([one.live for _, one in ordered], np.int64),
     )
+
+
+def _areas(labels: Array) -> Array:
+    """Count the pixels of each layer up to the last one in a map, (k,) int64."""
+    count = int(labels.max()) + 1
+    histogram = cv2.calcHist([np.ascontiguousarray(labels)], [0], None, [count], [0, count])
+    return histogram.reshape(-1).astype(np.int64)
 
 
 def _pair(one: int, other: int) -> tuple[int, int]:

@@ -44,8 +44,8 @@ class Scene:
         C-contiguous.
     positions : (n, 2) float32
         Trajectories, px.
-    means : (rows, columns, 3) uint8
-        Of the frame's cells.
+    colours : (rows, columns, 3) uint8
+        Means of the frame's cells.
     ground : (h, w, 4) float32 or None
         :func:`~mlbs_actors.segmentation.shadows.ground_colour`; None if shadows are not looked for.
     """
@@ -53,7 +53,7 @@ class Scene:
     config: SegmentationConfig
     frame: Array
     positions: Array
-    means: Array
+    colours: Array
     ground: Array | None
 
 
@@ -136,7 +136,7 @@ def label_proposals(
         started = perf_counter()
         cells = Region(proposals.corner[0] + box.x, proposals.corner[1] + box.y, box.width, box.height)
         pixels = in_pixels(cells, side, shape)
-        dark = None if scene.ground is None else darkening(scene.means, scene.ground, cells, 1.0 / side)
+        dark = None if scene.ground is None else darkening(scene.colours, scene.ground, cells, 1.0 / side)
         labelling = minimise(_energy(scene, proposals, own, box, pixels, dark), config.most_cut_whole)
         published[pixels.slices] = proposals.ids[own][labelling]
         cut = perf_counter()

@@ -21,8 +21,8 @@ from time import perf_counter
 import numpy as np
 
 from mlbs_actors.appearance.fusion import fused_costs
-from mlbs_actors.cells import cell_side, in_cells, mean_of_cells
-from mlbs_actors.config import Config, length_scale
+from mlbs_actors.cells import cell_side, in_cells
+from mlbs_actors.config import Config
 from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -129,14 +129,13 @@ class Segmenter:
             self.state.labels = np.zeros((0, 0), np.uint16)
         settings = self.config.segmentation
         side = posteriors[0].cell
-        means, ground = mean_of_cells(frame, side), None
+        ground = None
         if settings.shadow > 0 or settings.contact_shadow > 0:
-            scale = length_scale(*evidence.shape)
-            ground = ground_colour(means, evidence, self.state.labels, scale, settings)
+            ground = ground_colour(evidence, side, self.state.labels, settings)
         # Read-only as between processes: kernels are compiled separately for writable arrays.
         image = np.ascontiguousarray(frame).view()
         image.setflags(write=False)
-        scene = Scene(settings, image, evidence.positions, means, ground)
+        scene = Scene(settings, image, evidence.positions, evidence.colours, ground)
         grid = in_cells(Region(0, 0, evidence.shape[1], evidence.shape[0]), side)
         result = _Maps.of_background(evidence.shape, (grid.height, grid.width))
         stage_ms = {"fusion": 1e3 * (perf_counter() - start), "cut": 0.0, "cleaning": 0.0}

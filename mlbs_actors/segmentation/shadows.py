@@ -18,18 +18,18 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from mlbs_actors.config import SegmentationConfig
+from mlbs_actors.config import SegmentationConfig, length_scale
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.layer.trajectory_distance import trajectory_distance
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 
 __all__ = ["Darkening", "darkening", "ground_colour", "ground_likelihoods"]
 
-#: The ground's colour is estimated on the frame shrunk by this factor.
-SHRINK = 4
+#: The ground's colour is estimated on a picture of squares of so many cells a side.
+SHRINK = 2
 #: Reach of the blur of the picture, px.
 BLUR_REACH = 4
-#: Side of the square around a shrunk pixel in which last frame's map must show no object either.
+#: Side of the square around such a square in which last frame's map must show no object either.
 GROWN = 3
 #: Where there is no ground within the reach, the reach is doubled, this many times.
 DOUBLINGS = 4
@@ -60,36 +60,36 @@ class Darkening:
 
 
 def ground_colour(
-    picture: Array, evidence: FrameEvidence, previous: Array, scale: float, config: SegmentationConfig
+    evidence: FrameEvidence, side: int, previous: Array, config: SegmentationConfig
 ) -> Array | None:
     """Estimate the colour of the ground near each pixel from pixels of no object.
 
     Parameters
     ----------
-    picture : (h, w, 3) uint8
-        The frame, or the means of its cells.
     evidence : FrameEvidence
-        The objects' trajectories.
+        The frame's colours, and the objects' trajectories.
+    side : int
+        Of a cell, px.
     previous : (H, W) uint16
         Last label map; empty if there is none.
-    scale : float
-        :func:`~mlbs_actors.config.length_scale` of the frame.
 
     Returns
     -------
-    (H / 2 SHRINK, W / 2 SHRINK, 4) float32 or None
+    (h / 2 SHRINK, w / 2 SHRINK, 4) float32 or None
         Mean log colour and its variance. None if there is neither an object's trajectory nor an object in
         the last map.
     """
-    height, width = evidence.shape
+    height, width = evidence.colours.shape[:2]
     positions = evidence.positions[evidence.tracks_of(BACKGROUND).end :]  # the objects', which come after it
     if not len(positions) and not previous.any():
         return None
     size = (max(1, width // SHRINK), max(1, height // SHRINK))
-    colour = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    free: Array = trajectory_distance(positions, Region(0, 0, *size), SHRINK) >= config.ground_px * scale
+    whole = evidence.colours[: SHRINK * size[1], : SHRINK * size[0]]
+    colour = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+    reach, square = config.ground_px * length_scale(*evidence.shape), SHRINK * side
+    free: Array = trajectory_distance(positions, Region(0, 0, *size), square) >= reach
     if previous.size:
-        shown = cv2.resize(previous, size, interpolation=cv2.INTER_NEAREST) > BACKGROUND
+        shown = previous[::square, ::square][: size[1], : size[0]] > BACKGROUND
         free &= cv2.dilate(shown.view(np.uint8), np.ones((GROWN, GROWN), np.uint8)) == 0
     return _spread_into_objects(colour, free, config)
 
@@ -101,7 +101,7 @@ def darkening(picture: Array, ground: Array, box: Region, blur: float) -> Darken
     ----------
     picture : (h, w, 3) uint8
         The frame, or the means of its cells.
-    ground : (H / 2 SHRINK, W / 2 SHRINK, 4) float32
+    ground : (h / 2 SHRINK, w / 2 SHRINK, 4) float32
         Of :func:`ground_colour`.
     box : Region
         Of the picture.

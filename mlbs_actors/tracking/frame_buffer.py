@@ -44,6 +44,7 @@ class HeldFrame:
     flow : (h, w, 2) float32
     flow_reliable : (h, w) bool
     unexplained : (h, w) uint8
+    colours : (h, w, 3) uint8
         As in :class:`~mlbs_actors.messages.FrameEvidence`.
     stage_ms : mapping of str to float
     status : FrameStatus
@@ -64,6 +65,7 @@ class HeldFrame:
     flow: Array
     flow_reliable: Array
     unexplained: Array
+    colours: Array
     stage_ms: Mapping[str, float]
     status: FrameStatus
     light: Array
@@ -75,6 +77,7 @@ def held_frame(
     tracked: Tracked,
     labels: Array,
     flow: DenseFlow | None,
+    colours: Array,
     stage_ms: Mapping[str, float],
     status: FrameStatus,
     light: Array,
@@ -96,6 +99,7 @@ def held_frame(
         np.zeros((*size, 2), np.float32) if flow is None else flow.backward,
         reliable & ~fixed if fixed.size else reliable,
         _quantised(unexplained),
+        colours,
         stage_ms,
         status,
         light,
@@ -117,6 +121,7 @@ def no_picture(frame_index: int, status: FrameStatus) -> HeldFrame:
         np.zeros((0, 0, 2), np.float32),
         np.zeros((0, 0), bool),
         np.zeros((0, 0), np.uint8),
+        np.zeros((0, 0, 3), np.uint8),
         {},
         status,
         unchanged(),

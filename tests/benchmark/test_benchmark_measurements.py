@@ -268,7 +268,7 @@ def test_the_empty_parts_send_the_engines_own_messages_for_every_frame() -> None
         (evidence,) = coordinator.step(index, frame, None)
         assert {own.last_frame for own in evidence.layers} == {index - 1}
         layers = [parts.layer(Config(), own.layer, own.kind) for own in evidence.layers]
-        posteriors = [layer.step(evidence, frame, None) for layer in layers]
+        posteriors = [layer.step(evidence, None) for layer in layers]
         segmentation = segmenter.step(evidence, frame, posteriors)
         assert {one.frame_index for one in posteriors} == {segmentation.frame_index} == {index}
         assert segmentation.labels is messages.segmentation.labels

@@ -44,12 +44,14 @@ def test_each_group_has_its_own_signature_and_what_is_in_none_counts_for_none() 
     assert not together[2].any()
 
 
-def test_colours_are_those_of_the_nearest_pixels_of_the_frame() -> None:
+@pytest.mark.parametrize("side", [1, 2, 3])
+def test_colours_are_those_of_the_cells_of_the_nearest_pixels_of_the_frame(side: int) -> None:
     rng = np.random.default_rng(0)
-    frame = rng.integers(0, 256, (20, 30, 3)).astype(np.uint8)
-    positions = (rng.random((50, 2)) * [36, 26] - 3).astype(np.float32)
-    x, y = np.clip(np.rint(positions).astype(int), 0, [29, 19]).T
-    np.testing.assert_array_equal(colours_at(read_only(frame), positions), frame[y, x])
+    cells = rng.integers(0, 256, (20, 30, 3)).astype(np.uint8)
+    frame = cells.repeat(side, axis=0).repeat(side, axis=1)
+    positions = (rng.random((50, 2)) * [36, 26] * side - 3 * side).astype(np.float32)
+    x, y = np.clip(np.rint(positions).astype(int), 0, [30 * side - 1, 20 * side - 1]).T
+    np.testing.assert_array_equal(colours_at(read_only(cells), positions, side), frame[y, x])
 
 
 def histogram(*shares: float) -> Array:

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mlbs_actors.clustering.two_views import (
+    BEHIND_PX,
+    FIRST_RATINGS,
     FOCAL_LENGTHS,
+    INLIER_PX,
+    INLIER_RELATIVE,
+    MOST_PARALLAX_PX,
+    RATING_PERIOD,
     USUAL,
     FocalLength,
     Pairs,
@@ -72,3 +80,50 @@ def test_as_long_as_no_other_explains_more_the_focal_length_is_the_usual_one() -
     assert FocalLength().best == USUAL
     assert FocalLength((0.9, 0.88, 0.9, 0.9)).best == USUAL
     assert FocalLength((0.9, 0.6, 0.95, 0.9)).best == FOCAL_LENGTHS[2]
+
+
+def test_what_obeys_a_matrix_lies_near_its_epipolar_line_and_on_the_near_side_of_infinity() -> None:
+    points = two_planes(USUAL)
+    pairs = pairs_of(points, MOTION, 0.05, USUAL)
+    rng = np.random.default_rng(5)
+    strays = rng.choice(len(points), 200, replace=False)
+    moved = pairs.before.copy()
+    moved[strays] += rng.normal(0, 20, (200, 2))
+    pairs = replace(pairs, before=moved)
+    chosen = np.setdiff1d(np.arange(len(points)), strays)
+    found = in_scene(pairs, chosen)
+    assert found is not None
+    # The camera that made the points, instead of the fitted one, as geometry text books put it.
+    cos, sin = np.cos(0.05), np.sin(0.05)
+    rotation = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+    camera = pairs.camera
+    explained, static = [], []
+    for now, before in zip(pairs.now, pairs.before, strict=True):
+        far = camera @ rotation @ np.linalg.inv(camera) @ [*now, 1.0]
+        epipole = camera @ rotation @ MOTION
+        line = np.cross(far, epipole)
+        line /= np.hypot(*line[:2])
+        parallax = before - far[:2] / far[2]
+        towards = epipole[:2] - epipole[2] * far[:2] / far[2]
+        allowed = np.array([np.hypot(*parallax), min(np.hypot(*parallax), MOST_PARALLAX_PX)])
+        near = abs(line @ [*before, 1.0]) < INLIER_PX + INLIER_RELATIVE * allowed
+        explained.append(near[0])
+        static.append(near[1] and parallax @ towards / np.hypot(*towards) > -BEHIND_PX)
+    # Fitted and true camera differ by a little noise, and few points lie just there.
+    assert (found[0] == explained).mean() > 0.98
+    assert (found[1] == static).mean() > 0.98
+    assert 0.2 < np.mean(static) < 0.9
+    assert np.mean(np.array(static)[strays]) < 0.5
+
+
+def test_focal_lengths_are_rated_by_the_first_clusterings_and_then_now_and_again() -> None:
+    pairs = pairs_of(two_planes(USUAL), MOTION, 0.05, USUAL)
+    everything = np.arange(len(pairs.now))
+    rated, changed = FocalLength(), []
+    for clustering in range(1, FIRST_RATINGS + 2 * RATING_PERIOD + 1):
+        before, rated = rated, rated.rated(pairs, everything, everything[::8])
+        if rated.shares != before.shares:
+            changed.append(clustering)
+    later = [one for one in changed if one > FIRST_RATINGS]
+    assert changed[:FIRST_RATINGS] == list(range(1, FIRST_RATINGS + 1))
+    assert [one % RATING_PERIOD for one in later] == [0, 0]

@@ -83,9 +83,12 @@ def crowd(frames: int, most: int) -> list[Array]:
 
 
 def still_evidence(
-    layers: Sequence[LayerEvidence], frame_index: int, retired: tuple[int, ...] = ()
+    layers: Sequence[LayerEvidence],
+    frame_index: int,
+    retired: tuple[int, ...] = (),
+    frame: Array | None = None,
 ) -> FrameEvidence:
-    """Evidence of a frame in which nothing moves but what the layers say."""
+    """Evidence of a frame, black if none is given, in which nothing moves but what the layers say."""
     return joined_evidence(
         layers,
         frame_index=frame_index,
@@ -94,6 +97,7 @@ def still_evidence(
         flow=np.zeros((2, 2, 2), np.float32),
         flow_reliable=np.ones((2, 2), bool),
         unexplained=np.zeros((1, 1), np.uint8),
+        colours=np.zeros((*SHAPE, 3), np.uint8) if frame is None else frame,
         retired=retired,
         latency_frames=0,
     )
@@ -169,7 +173,7 @@ class _Coordinator:
             for layer in live
         )
         self.state.last |= dict.fromkeys(live, t)
-        return still_evidence(layers, t, retired)
+        return still_evidence(layers, t, retired, frame)
 
 
 class _Layer:
@@ -177,15 +181,15 @@ class _Layer:
         self._layer, self._kind, self._slow_seconds, self._death = layer, kind, slow_seconds, death
         self.state = Memory(layer + 1)
 
-    def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> LayerPosterior:
+    def step(self, evidence: FrameEvidence, previous: Segmentation | None) -> LayerPosterior:
         t = self._frame = evidence.frame_index
-        if frame[DEATHS["layer"]][0] == self._layer > 0:
+        if evidence.colours[DEATHS["layer"]][0] == self._layer > 0:
             self._death.come()
         assert (previous.frame_index if previous else -1) == t - 1
         pause(self._slow_seconds)
         for told in (
             evidence.of(self._layer).positions,
-            frame,
+            evidence.colours,
             *([] if previous is None else [previous.labels]),
         ):
             self.state.checksum = zlib.crc32(told.tobytes(), self.state.checksum)
@@ -492,7 +496,7 @@ def rows_in_one_process(parts: PartFactory, pictures: Iterable[Array], config: C
             for own in evidence.tracks:
                 if own.layer not in layers:
                     layers[own.layer] = parts.layer(config, own.layer, own.kind)
-                posteriors.append(layers[own.layer].step(evidence, frame, previous))
+                posteriors.append(layers[own.layer].step(evidence, previous))
             results.append(segmenter.step(evidence, frame, posteriors))
     return [f"{t} {t} {zlib.crc32(result.labels.tobytes())}" for t, result in enumerate(results)]
 

@@ -20,4 +20,6 @@ def dense_flow(
     previous: Array, current: Array, side: int, config: Config, focus: Sequence[Region] | None = None
 ) -> DenseFlow:
     nothing = np.zeros((0, 0, 3), np.uint8)
-    return estimate_flow(Picture(previous, nothing), Picture(current, nothing), side, config, focus)
+    return estimate_flow(
+        Picture(nothing, previous, nothing), Picture(nothing, current, nothing), side, config, focus
+    )

@@ -52,6 +52,7 @@ def frame_of(
     frame_index: int = 0,
     flow: tuple[float, float] = (0.0, 0.0),
     reliable: bool = False,
+    image: Array | None = None,
 ) -> FrameEvidence:
     """Cells of one pixel; nothing is explained by the camera's motion, unless a test says otherwise."""
     made = joined_evidence(
@@ -62,6 +63,7 @@ def frame_of(
         flow=np.full((*SHAPE, 2), flow, np.float32),
         flow_reliable=np.full(SHAPE, reliable),
         unexplained=np.full(SHAPE, 255, np.uint8),
+        colours=picture() if image is None else image,
         retired=(),
         latency_frames=0,
     )

@@ -17,7 +17,7 @@ from numba.core.dispatcher import Dispatcher
 
 from mlbs_actors import Config
 from mlbs_actors.actors.parts import EngineParts, LayerPart
-from mlbs_actors.messages import Array, FrameEvidence, Segmentation
+from mlbs_actors.messages import FrameEvidence, Segmentation
 from orchestrator.sources.synthetic import scene
 
 #: Scenes, their frames and height: several objects from the start, a crowd, and one that enters late.
@@ -47,23 +47,23 @@ class Layers:
         self._parts: dict[int, LayerPart] = {}
         self.most = 0
 
-    def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> list[object]:
+    def step(self, evidence: FrameEvidence, previous: Segmentation | None) -> list[object]:
         for layer in evidence.retired:
             self._parts.pop(layer, None)
         answers: list[object] = []
         for own in evidence.tracks:
             part = self._parts.setdefault(own.layer, EngineParts().layer(Config(), own.layer, own.kind))
-            answers.append(_arrived(part.step(evidence, frame, previous)))
+            answers.append(_arrived(part.step(evidence, previous)))
         self.most = max(self.most, len(self._parts))
         return answers
 
 
-def play(name: str, frames: int, height: int) -> list[tuple[FrameEvidence, Array, Segmentation | None]]:
+def play(name: str, frames: int, height: int) -> list[tuple[FrameEvidence, Segmentation | None]]:
     """Label a scene; return what its layers were told, frame by frame."""
     parts, layers = EngineParts(), Layers()
     coordinator, segmenter = parts.coordinator(Config()), parts.segmenter(Config())
     results: list[Segmentation] = []
-    told: list[tuple[FrameEvidence, Array, Segmentation | None]] = []
+    told: list[tuple[FrameEvidence, Segmentation | None]] = []
     length = 120 if name == "traffic" else frames
     video = scene(name, frames=length, seed=1, width=height * 4 // 3, height=height)
     for t in range(frames):
@@ -71,7 +71,7 @@ def play(name: str, frames: int, height: int) -> list[tuple[FrameEvidence, Array
         feedback = None if wanted is None else partial(results.__getitem__, wanted)
         for evidence in map(_arrived, coordinator.step(t, _arrived(video.frame(t)), feedback)):
             frame = _arrived(video.frame(evidence.frame_index))
-            told.append((evidence, frame, results[-1] if results else None))
+            told.append((evidence, results[-1] if results else None))
             answers = layers.step(*told[-1])
             results.append(_arrived(segmenter.step(evidence, frame, answers)))  # type: ignore[arg-type]
     assert layers.most > (1 if name == "traffic" else 3), "so few layers prove little"

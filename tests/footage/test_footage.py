@@ -297,7 +297,7 @@ def test_an_empty_place_is_passed_over_and_what_comes_into_it_is_found(
     results = labelled(frames)
     assert {result.status for result in results[6:29]} == {"repeated"}
     assert {result.status for result in results[40:]} == {"ok"}
-    monkeypatch.setattr("mlbs_actors.coordinator.is_still", lambda gray, before: False)
+    monkeypatch.setattr("mlbs_actors.coordinator.gate.is_still", lambda gray, before: False)
     looked_at = labelled(frames)
     assert {result.status for result in looked_at} == {"ok"}
 
@@ -326,7 +326,7 @@ def test_a_place_in_which_all_has_come_to_rest_is_passed_over_until_something_mo
     # Noise may exceed the threshold once in a while.
     assert [result.status for result in results[60:80]].count("repeated") > 15
     assert {result.status for result in results[82:]} == {"ok"}
-    monkeypatch.setattr("mlbs_actors.coordinator.is_still", lambda gray, before: False)
+    monkeypatch.setattr("mlbs_actors.coordinator.gate.is_still", lambda gray, before: False)
     looked_at = labelled(frames)
     assert {result.status for result in looked_at} == {"ok"}
     for passed, seen in zip(results, looked_at, strict=True):

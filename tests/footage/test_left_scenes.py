@@ -9,8 +9,7 @@ from labelled_clip import LabelledClip
 
 from mlbs_actors import Result
 from mlbs_actors.config import Config
-from mlbs_actors.coordinator import Coordinator
-from mlbs_actors.coordinator_state import CoordinatorState
+from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.messages import Array
 from mlbs_actors.state_file import capture
 

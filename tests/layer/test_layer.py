@@ -48,14 +48,13 @@ def step(
     rival: Array | None = None,
 ) -> LayerPosterior:
     """One step with the evidence that is due; ``rival`` are an object's trajectories for the background."""
-    own, image = tracks(layer.layer, positions, layer.state.last_frame, motion), image.view()
-    image.setflags(write=False)  # as that of a frame that is readonly
+    own = tracks(layer.layer, positions, layer.state.last_frame, motion)
     if layer.layer == BACKGROUND:
         everyone = [own] if rival is None else [own, tracks(1, rival, frame_index - 1)]
-        return layer.step(frame_of(everyone, frame_index), image, previous)
+        return layer.step(frame_of(everyone, frame_index, image=image), previous)
     far = grid(Region(0, 0, 160, 20))
     everyone = [tracks(BACKGROUND, far, frame_index - 1), own]
-    return layer.step(frame_of(everyone, frame_index), image, previous)
+    return layer.step(frame_of(everyone, frame_index, image=image), previous)
 
 
 def nats(one: LayerPosterior, appearance: float = 0.0) -> Array:
@@ -71,7 +70,7 @@ def nats(one: LayerPosterior, appearance: float = 0.0) -> Array:
 def test_evidence_of_another_layer_is_refused() -> None:
     evidence = tracks(2, grid(CAR))
     with pytest.raises(LayerError, match=r"Frame 0 has no evidence of layer 1; restart .*\."):
-        Layer(configured(), 1, "object").step(frame_of([evidence]), picture(), None)
+        Layer(configured(), 1, "object").step(frame_of([evidence]), None)
 
 
 @pytest.mark.parametrize("last_frame", [-1, 0, 2])
@@ -85,7 +84,7 @@ def test_evidence_that_is_not_the_next_is_refused_and_changes_nothing(last_frame
             step(one, t, picture(t), grid(CAR), previous)
     evidence = tracks(1, grid(CAR), last_frame)
     with pytest.raises(LayerError, match=f"stands at frame 1 .* from frame {last_frame}; restart the stream"):
-        layer.step(frame_of([evidence], 2), picture(2), published(1, owned(CAR)))
+        layer.step(frame_of([evidence], 2, image=picture(2)), published(1, owned(CAR)))
     for one in (layer, undisturbed):
         results.append(step(one, 2, picture(2), grid(CAR), published(1, owned(CAR))))
     assert results[0].cost.tobytes() == results[1].cost.tobytes()
@@ -242,7 +241,7 @@ def test_the_background_learns_away_from_objects_beside_its_own_trajectories_and
     unexplained = np.where(rng.random(SHAPE) < 0.5, 0, 255).astype(np.uint8)
     evidence = readonly(replace(evidence, unexplained=unexplained, frame_index=frame_index))
     layer = Layer(config, 0, "background")
-    layer.step(evidence, picture(), None)
+    layer.step(evidence, None)
     # Distances are told for four cells at once: what hangs on less than that may go either way.
     near_own, near_object = (trajectory_distance(one.positions, WHOLE, 1) for one in evidence.layers)
     shown = unexplained * UNEXPLAINED_STEP < 0.5 * config.layers.unexplained_noise
@@ -275,7 +274,7 @@ def motion_cost(
     evidence = frame_of([tracks(BACKGROUND, grid(Region(0, 0, 160, 20))), own], 0, flow, reliable)
     if explained:
         evidence = readonly(replace(evidence, unexplained=np.zeros_like(evidence.unexplained)))
-    result = Layer(config, 1, "object").step(evidence, picture(), None)
+    result = Layer(config, 1, "object").step(evidence, None)
     inner = Region(CAR.x + 6, CAR.y + 6, CAR.width - 12, CAR.height - 12)
     whole = np.full(SHAPE, np.nan)
     whole[result.region.slices] = nats(result) - 4.0
@@ -403,7 +402,7 @@ def test_a_flow_that_contradicts_costs_each_kind_of_layer_its_own_floor() -> Non
         own = tracks(layer, grid(WHOLE))
         evidence = frame_of([own, tracks(2, grid(WHOLE))], 0, (30.0, 0.0), True)
         made = Layer(config, 0, "background") if kind == "background" else Layer(config, 1, "object")
-        found = nats(made.step(evidence, picture(), None)) - 4.0
+        found = nats(made.step(evidence, None)) - 4.0
         np.testing.assert_allclose(found[20:100, 20:140], -np.log(floor), atol=COST_STEP)
 
 
@@ -416,7 +415,7 @@ def test_its_velocity_is_the_median_motion_forwards_and_lasts_without_trajectori
     motions = np.tile(np.array([-2.0, 1.0], np.float32), (len(positions), 1))
     motions[:5] = 50.0
     own = LayerEvidence(1, "object", -1, positions, motions)
-    result = layer.step(frame_of([own]), picture(), None)
+    result = layer.step(frame_of([own]), None)
     np.testing.assert_array_equal(result.velocity, [2.0, -1.0])
     after = step(layer, 1, picture(), np.zeros((0, 2), np.float32), published(0, owned(CAR)))
     np.testing.assert_array_equal(after.velocity, [2.0, -1.0])

@@ -5,14 +5,16 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from test_shadows import CAR, SCALE, SHAPE, darkened, evidence, picture
+from test_shadows import CAR, SHAPE, darkened, evidence, picture
 
-from mlbs_actors.cells import mean_of_cells, spread_over_cells
+from mlbs_actors.cells import spread_over_cells
 from mlbs_actors.config import SegmentationConfig
 from mlbs_actors.messages import BACKGROUND, Array, Region
 from mlbs_actors.segmentation.contact_shadow import contact_shadow
 from mlbs_actors.segmentation.shadows import Darkening, darkening, ground_colour
 
+#: Lengths are stated for 640×480.
+SCALE = 0.5
 #: Below the red car, nearly black; with it the object is 50 px high.
 STRIP = np.s_[120:130, 126:174]
 RISE = 0.25
@@ -22,7 +24,7 @@ EDGE = 3
 
 
 def strip_found(image: Array, found: Array) -> Array:
-    return contact_shadow(found, image, darkened(image, evidence(), found), 1, SCALE, CONFIG)
+    return contact_shadow(found, image, darkened(evidence(image), found), 1, SCALE, CONFIG)
 
 
 def with_strip(strip: tuple[slice, slice] = STRIP, grey: int = 9) -> tuple[Array, Array]:
@@ -84,7 +86,7 @@ def test_the_lighter_rim_under_the_strip_goes_with_it() -> None:
     image, found = with_strip()
     image[rim] = 100
     image, found = (one.repeat(2, axis=0).repeat(2, axis=1) for one in (image, found))
-    dark = darkened(image, evidence(), found, 2 * SCALE)
+    dark = darkened(evidence(image), found)
     assert dark.mean[258:260, 264:336].min() > CONFIG.contact_dark
     assert contact_shadow(found, image, dark, 1, 2 * SCALE, CONFIG)[258:260, 264:336].all()
 
@@ -103,14 +105,14 @@ def test_what_does_not_stand_on_the_ground_has_no_contact_shadow(below: str) -> 
         found[130:160, 120:180] = 2
         assert not strip_found(image, found)[STRIP].any()
     else:
-        dark = darkened(image, evidence(), found)
+        dark = darkened(evidence(image), found)
         cut = Darkening(dark.mean[:130], dark.spread[:130], dark.brightness[:130], dark.variance[:130])
         assert not contact_shadow(found[:130], image[:130], cut, 1, SCALE, CONFIG).any()
 
 
 def test_a_contact_shadow_is_found_in_a_box_as_in_the_whole_frame() -> None:
     image, found = with_strip()
-    ground = ground_colour(image, evidence(), found, SCALE, CONFIG)
+    ground = ground_colour(evidence(image), 1, found, CONFIG)
     assert ground is not None
     box = Region(100, 60, 100, 100)
     part, inside = (np.ascontiguousarray(one[box.slices]) for one in (image, found))
@@ -120,15 +122,13 @@ def test_a_contact_shadow_is_found_in_a_box_as_in_the_whole_frame() -> None:
 
 def test_a_contact_shadow_is_found_from_the_means_of_cells_too() -> None:
     image, found = (one.repeat(2, axis=0).repeat(2, axis=1) for one in with_strip())
-    ground = ground_colour(image, evidence(), found, 2 * SCALE, CONFIG)
+    given = evidence(image, side=2)
+    ground = ground_colour(given, 2, found, CONFIG)
     assert ground is not None
-    small = mean_of_cells(image, 2)
-    dark = darkening(small, ground, Region(0, 0, small.shape[1], small.shape[0]), 0.5)
+    dark = darkening(given.colours, ground, Region(0, 0, SHAPE[1], SHAPE[0]), 0.5)
     strip = contact_shadow(found, image, dark, 2, 2 * SCALE, CONFIG)
     assert strip.any()
-    by_pixels = contact_shadow(
-        found, image, darkened(image, evidence(), found, 2 * SCALE), 1, 2 * SCALE, CONFIG
-    )
+    by_pixels = contact_shadow(found, image, darkened(evidence(image), found), 1, 2 * SCALE, CONFIG)
     assert (strip != by_pixels).sum() <= 0.1 * by_pixels.sum()
 
 

@@ -12,6 +12,7 @@ from joined_evidence import joined_evidence
 from read_only import read_only
 
 from mlbs_actors.appearance.fusion import fused_costs
+from mlbs_actors.cells import mean_of_cells
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.errors import FrameError
 from mlbs_actors.graphcut.graph_cut import minimise
@@ -53,8 +54,12 @@ def kind_of(layer: int) -> LayerKind:
 
 
 def evidence_of(
-    posteriors: list[LayerPosterior], frame_index: int = 0, tracks: dict[int, Array] | None = None
+    posteriors: list[LayerPosterior],
+    frame_index: int = 0,
+    tracks: dict[int, Array] | None = None,
+    image: Array | None = None,
 ) -> FrameEvidence:
+    image = frame() if image is None else image
     layers = []
     for one in posteriors:
         at = np.asarray((tracks or {}).get(one.layer, np.zeros((0, 2))), np.float32)
@@ -62,11 +67,12 @@ def evidence_of(
     return joined_evidence(
         layers,
         frame_index=frame_index,
-        shape=SHAPE,
+        shape=image.shape[:2],
         camera=np.eye(3),
         flow=np.zeros((*SHAPE, 2), np.float32),
         flow_reliable=np.zeros(SHAPE, bool),
         unexplained=np.zeros(SHAPE, np.uint8),
+        colours=mean_of_cells(image, posteriors[0].cell),
         retired=(),
         latency_frames=3,
         stage_ms={"flow": 1.5},
@@ -237,7 +243,7 @@ def test_in_a_shadow_an_object_is_dearer_than_the_background_and_elsewhere_it_is
             configured(shadow=strength, track_cost=0.0),
             replace(SegmenterState.beginning(), next_frame=1, labels=before),
         )
-        given = replace(evidence_of(posteriors, 1, {1: at}), shape=shape)
+        given = evidence_of(posteriors, 1, {1: at}, image)
         maps[strength] = stepped(segmenter, given, image, posteriors).labels
     assert (maps[0.0][region.slices] == 1).all()
     assert not maps[0.5][127:145, 122:178].any()
@@ -255,7 +261,7 @@ def test_the_dark_strip_under_an_object_goes_to_the_background_and_is_no_part_of
     at = np.array([[150.0, 100.0]], np.float32)
     results = {}
     for rise in (0.0, 0.25):
-        given = replace(evidence_of(posteriors, tracks={7: at}), shape=shape)
+        given = evidence_of(posteriors, 0, {7: at}, image)
         results[rise] = stepped(Segmenter(configured(contact_shadow=rise)), given, image, posteriors)
     assert (results[0.0].labels[strip.slices] == 7).all()
     assert (results[0.25].labels[strip.slices] == 0).mean() > 0.8
@@ -364,7 +370,7 @@ def test_outlines_follow_the_contrast() -> None:
     posteriors = [posterior(0, 98), posterior(1, cost)]
     config = configured(contrast_strength=3.0, contrast_scale=300.0)
     tracks = {0: np.array([[2.0, y] for y in range(24)]), 1: np.array([[30.0, y] for y in range(24)])}
-    result = stepped(Segmenter(config), evidence_of(posteriors, tracks=tracks), image, posteriors)
+    result = stepped(Segmenter(config), evidence_of(posteriors, 0, tracks, image), image, posteriors)
     np.testing.assert_array_equal(result.labels, np.repeat([[0, 1]], 24, axis=0).repeat([17, 15], axis=1))
 
 

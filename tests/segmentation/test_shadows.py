@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from joined_evidence import joined_evidence
 
+from mlbs_actors.cells import mean_of_cells
 from mlbs_actors.config import SegmentationConfig
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, LayerEvidence, Region, readonly
 from mlbs_actors.segmentation.shadows import (
@@ -19,8 +20,6 @@ from mlbs_actors.segmentation.shadows import (
 )
 
 SHAPE = (240, 320)
-#: Lengths are stated for 640×480.
-SCALE = 0.5
 ROAD = np.array([120.0, 125.0, 130.0])
 CAR, PATCH = np.s_[80:120, 120:180], np.s_[122:150, 115:185]
 #: Well inside the patch.
@@ -42,23 +41,25 @@ def picture(patch: Array | float, ground: Array | None = None) -> Array:
     return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)
 
 
-def evidence(layer: int = 1, positions: Array | None = None) -> FrameEvidence:
-    """Trajectories all over the car."""
+def evidence(image: Array, layer: int = 1, positions: Array | None = None, side: int = 1) -> FrameEvidence:
+    """Trajectories all over the car, and the means of cells of ``side`` px."""
     x, y = np.meshgrid(np.arange(124, 178, 6), np.arange(84, 118, 6))
     at = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32) if positions is None else positions
     everywhere = np.array([[10.0, 10.0], [300.0, 200.0], [140.0, 135.0]], np.float32)
     layers = [LayerEvidence(BACKGROUND, "background", 0, everywhere, np.zeros_like(everywhere))]
     if layer != BACKGROUND:
         layers.append(LayerEvidence(layer, "object", 0, at, np.zeros_like(at)))
-    half = (SHAPE[0] // 2, SHAPE[1] // 2)
+    colours = mean_of_cells(image, side)
+    cells = colours.shape[:2]
     made = joined_evidence(
         layers,
         frame_index=1,
-        shape=SHAPE,
+        shape=image.shape[:2],
         camera=np.eye(3),
-        flow=np.zeros((*half, 2), np.float32),
-        flow_reliable=np.zeros(half, bool),
-        unexplained=np.zeros(half, np.uint8),
+        flow=np.zeros((*cells, 2), np.float32),
+        flow_reliable=np.zeros(cells, bool),
+        unexplained=np.zeros(cells, np.uint8),
+        colours=colours,
         retired=(),
         latency_frames=0,
     )
@@ -72,17 +73,15 @@ def labels() -> Array:
     return previous
 
 
-def darkened(
-    image: Array, given: FrameEvidence, previous: Array = NO_LABELS, scale: float = SCALE
-) -> Darkening:
-    """On the whole frame."""
-    ground = ground_colour(image, given, previous, scale, CONFIG)
+def darkened(given: FrameEvidence, previous: Array = NO_LABELS) -> Darkening:
+    """On the whole frame, of cells of one pixel."""
+    ground = ground_colour(given, 1, previous, CONFIG)
     assert ground is not None
-    return darkening(image, ground, Region(0, 0, image.shape[1], image.shape[0]), 1.0)
+    return darkening(given.colours, ground, Region(0, 0, given.shape[1], given.shape[0]), 1.0)
 
 
 def likelihood(image: Array, previous: Array = NO_LABELS) -> Array:
-    return ground_likelihoods(darkened(image, evidence(), previous), CONFIG)[0]
+    return ground_likelihoods(darkened(evidence(image), previous), CONFIG)[0]
 
 
 @pytest.mark.parametrize("factor", [0.7, 0.5, 0.3])
@@ -130,9 +129,9 @@ def test_without_an_object_there_is_nothing_that_could_cast_one() -> None:
     image = picture(0.5)
     none = np.zeros((0, 2), np.float32)
     for previous in (NO_LABELS, np.zeros(SHAPE, np.uint16)):
-        assert ground_colour(image, evidence(BACKGROUND), previous, SCALE, CONFIG) is None
-        assert ground_colour(image, evidence(1, none), previous, SCALE, CONFIG) is None
-    assert ground_colour(image, evidence(1, none), labels(), SCALE, CONFIG) is not None
+        assert ground_colour(evidence(image, BACKGROUND), 1, previous, CONFIG) is None
+        assert ground_colour(evidence(image, 1, none), 1, previous, CONFIG) is None
+    assert ground_colour(evidence(image, 1, none), 1, labels(), CONFIG) is not None
 
 
 def test_what_is_given_is_only_read() -> None:
@@ -144,14 +143,14 @@ def test_what_is_given_is_only_read() -> None:
 def test_a_frame_without_any_ground_has_no_shadow() -> None:
     x, y = np.meshgrid(np.arange(0, SHAPE[1], 8), np.arange(0, SHAPE[0], 8))
     everywhere = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
-    for found in ground_likelihoods(darkened(picture(0.5), evidence(1, everywhere)), CONFIG):
+    for found in ground_likelihoods(darkened(evidence(picture(0.5), 1, everywhere)), CONFIG):
         assert not found.any()
 
 
 def test_the_ground_of_a_mirrored_frame_is_mirrored() -> None:
     image, found = picture(0.5, road() * np.linspace(0.5, 1.5, SHAPE[1])[:, None]), labels()
-    one = darkened(image, evidence(BACKGROUND), found)
-    other = darkened(image[:, ::-1], evidence(BACKGROUND), found[:, ::-1])
+    one = darkened(evidence(image, BACKGROUND), found)
+    other = darkened(evidence(image[:, ::-1], BACKGROUND), found[:, ::-1])
     np.testing.assert_allclose(other.mean[:, ::-1], one.mean, atol=0.05)
 
 
@@ -161,9 +160,9 @@ def test_the_ground_of_a_mirrored_frame_is_mirrored() -> None:
 @pytest.mark.parametrize("box", [Region(100, 60, 101, 111), Region(0, 0, 50, 40), Region(291, 203, 29, 37)])
 def test_a_box_is_darkened_as_the_whole_frame_is(box: Region) -> None:
     image = picture(0.5)
-    ground = ground_colour(image, evidence(), labels(), SCALE, CONFIG)
+    ground = ground_colour(evidence(image), 1, labels(), CONFIG)
     assert ground is not None
-    whole, part = darkened(image, evidence(), labels()), darkening(image, ground, box, 1.0)
+    whole, part = darkened(evidence(image), labels()), darkening(image, ground, box, 1.0)
     for name in ("mean", "spread", "brightness", "variance"):
         np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[box.slices])
     own, those = (ground_likelihoods(one, CONFIG) for one in (part, whole))
@@ -173,9 +172,9 @@ def test_a_box_is_darkened_as_the_whole_frame_is(box: Region) -> None:
 
 def test_darkening_is_the_log_of_the_colour_over_that_of_the_enlarged_ground() -> None:
     image = picture(0.5)
-    ground = ground_colour(image, evidence(), labels(), SCALE, CONFIG)
+    ground = ground_colour(evidence(image), 1, labels(), CONFIG)
     assert ground is not None
-    dark = darkened(image, evidence(), labels())
+    dark = darkened(evidence(image), labels())
     enlarged = cv2.resize(ground, SHAPE[::-1])
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32) + 1.0
     channels = np.log(smooth) - enlarged[..., :3]

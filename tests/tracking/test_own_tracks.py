@@ -59,7 +59,7 @@ def test_points_that_the_tracker_loses_are_given_to_it_no_more(made: SyntheticSc
     for index in range(4):
         subtractor.apply(made.frame(index))
     assert len(asked) == 3
-    trajectories = subtractor._coordinator.state.trajectories
+    trajectories = subtractor._coordinator.state.epoch.trajectories
     places, seen = asked[-1]
     old = trajectories.positions[trajectories.ages > 1]  # new ones begin with the motion of the flow
     assert len(old)

@@ -15,7 +15,7 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 from ray.exceptions import GetTimeoutError, RayError
@@ -335,8 +335,11 @@ class CoordinatorActor:
         """Process the next picture, and start the work that it makes possible."""
         index = self._account.counts["ok"] - 1  # the engine counts the frames it is given
         wanted = self._coordinator.feedback_index(index)
-        feedback = None if wanted is None else partial(self._labelled, wanted)
-        for evidence in self._coordinator.step(index, image, feedback, concealed):
+        feedback = None if wanted is None else cache(partial(self._labelled, wanted))
+        ready = self._coordinator.step(index, image, feedback, concealed)
+        if feedback is not None:
+            feedback()  # a frame that does not need it keeps the layers' pace, too
+        for evidence in ready:
             self._label(evidence)
 
     def _labelled(self, frame_index: int) -> Segmentation:

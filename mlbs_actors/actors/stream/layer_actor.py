@@ -13,12 +13,11 @@ from mlbs_actors.actors.node.priority import stepping_back
 from mlbs_actors.actors.node.process_memory import settle_memory
 from mlbs_actors.actors.parts import LayerPart, PartFactory
 from mlbs_actors.actors.stream.order import FrameOrder
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.actors.stream.saved_states import SavedLayer, SaveState, StateWriter, layer_file
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import LayerError
-from mlbs_actors.messages import Array, FrameEvidence, LayerAppearance, LayerPosterior, Segmentation
+from mlbs_actors.messages import FrameEvidence, LayerAppearance, LayerPosterior, Segmentation
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.state_file import CapturedState, capture
 
@@ -41,7 +40,7 @@ class LayerStep:
 
     Attributes
     ----------
-    evidence, frame : Shared
+    evidence : Shared
     previous : Shared, optional
         Published result of the frame before; None if there is none.
     answer : Slot
@@ -51,7 +50,6 @@ class LayerStep:
     """
 
     evidence: Shared[FrameEvidence]
-    frame: Shared[SourceFrame]
     previous: Shared[Segmentation] | None
     answer: Slot
     appearance: Slot | None
@@ -80,11 +78,11 @@ class LayerWork:
         self._memory = memory
         self._order = FrameOrder(own.last_frame)
 
-    def step(self, evidence: FrameEvidence, image: Array, previous: Segmentation | None) -> LayerPosterior:
+    def step(self, evidence: FrameEvidence, previous: Segmentation | None) -> LayerPosterior:
         """Finish the frame before with its labels, then evaluate this one; each frame once and in order."""
         before = evidence.tracks_of(self._own.layer).last_frame
         with self._order.step(evidence.frame_index, after=before):
-            return self.part.step(evidence, image, previous)
+            return self.part.step(evidence, previous)
 
     def appearance(self, slot: Slot) -> Shared[LayerAppearance]:
         """Share the remembered colours after the last step."""
@@ -161,10 +159,9 @@ class LayerActor:
     def step(self, step: LayerStep) -> Shared[LayerPosterior]:
         """See :meth:`LayerWork.step`."""
         assert self._work is not None  # begun
-        evidence, frame = self._memory.load(step.evidence), self._memory.load(step.frame)
+        evidence = self._memory.load(step.evidence)
         previous = None if step.previous is None else self._memory.load(step.previous)
-        assert frame.image is not None  # a quarantined frame has no evidence
-        return self._memory.share(self._work.step(evidence, frame.image, previous), step.answer)
+        return self._memory.share(self._work.step(evidence, previous), step.answer)
 
     def save(self, message: SaveState) -> None:
         """Write the state, in parallel with the next frames."""

@@ -15,12 +15,10 @@ from mlbs_actors.actors.ipc.channels import Channel, ChannelAddress, connect
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layer_actor import LayerStep, LayerWork
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.actors.stream.saved_states import SavedLayer, SaveState, layer_file
 from mlbs_actors.config import Config
 from mlbs_actors.messages import (
     BACKGROUND,
-    Array,
     FrameEvidence,
     LayerAppearance,
     LayerPosterior,
@@ -30,28 +28,25 @@ from mlbs_actors.messages import (
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.state_file import read_state
 
-__all__ = ["AssignedProcess", "LayersAtWork", "SharedFrame"]
+__all__ = ["AssignedProcess", "LayersAtWork", "SharedEvidence"]
 
 
 @dataclass(frozen=True, slots=True)
-class SharedFrame:
-    """A frame in the segmenter's process, and the references for its layers.
+class SharedEvidence:
+    """A frame's evidence in the segmenter's process, and the references for its layers.
 
     Attributes
     ----------
     evidence : FrameEvidence
-    image : (H, W, 3) uint8
     previous : Segmentation or None
         Published result of the frame before.
-    where_evidence, where_frame, where_previous : Shared
+    where_evidence, where_previous : Shared
         References to these; ``where_previous`` None if there is none.
     """
 
     evidence: FrameEvidence
-    image: Array
     previous: Segmentation | None
     where_evidence: Shared[FrameEvidence]
-    where_frame: Shared[SourceFrame]
     where_previous: Shared[Segmentation] | None
 
 
@@ -113,13 +108,13 @@ class LayersAtWork:
             channel.send(self._here.pop(one.layer).hand_over(one.state))
 
     def step(
-        self, frame: SharedFrame, answers: Mapping[int, Slot], appearance: Slot | None
+        self, frame: SharedEvidence, answers: Mapping[int, Slot], appearance: Slot | None
     ) -> list[LayerPosterior]:
         """Have the layers process a frame in parallel; those of this process run one after the other.
 
         Parameters
         ----------
-        frame : SharedFrame
+        frame : SharedEvidence
         answers : mapping of int to Slot
             For the posteriors of the frame's layers.
         appearance : Slot, optional
@@ -130,13 +125,13 @@ class LayersAtWork:
         list of LayerPosterior
             In the order of the answers.
         """
-        where = frame.where_evidence, frame.where_frame, frame.where_previous
+        where = frame.where_evidence, frame.where_previous
         for layer, answer in answers.items():
             if layer in self._elsewhere:
                 wanted = appearance if layer == BACKGROUND else None
                 self._elsewhere[layer].send(LayerStep(*where, answer, wanted))
         posteriors = {
-            layer: readonly(self._here[layer].step(frame.evidence, frame.image, frame.previous))
+            layer: readonly(self._here[layer].step(frame.evidence, frame.previous))
             for layer in answers
             if layer in self._here
         }

@@ -17,7 +17,7 @@ from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import get
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.stream.layers_at_work import AssignedProcess, LayersAtWork, SharedFrame
+from mlbs_actors.actors.stream.layers_at_work import AssignedProcess, LayersAtWork, SharedEvidence
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.actors.stream.saved_states import (
@@ -176,7 +176,7 @@ class SegmenterActor:
         assert frame.image is not None  # a quarantined frame has no evidence
         self._layers.follow(evidence, work.assigned)
         previous = self._published[-1] if self._published else None
-        shared = SharedFrame(evidence, frame.image, previous, work.evidence, work.frame, self._previous)
+        shared = SharedEvidence(evidence, previous, work.evidence, self._previous)
         answers = {own.layer: slot for own, slot in zip(evidence.tracks, work.posteriors, strict=True)}
         posteriors = self._layers.step(shared, answers, work.background)
         background = None if work.background is None else self._layers.appearance(BACKGROUND, work.background)

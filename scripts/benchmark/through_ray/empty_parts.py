@@ -100,7 +100,7 @@ class _EmptyLayer:
     posterior: LayerPosterior
     state: NoState = NoState()
 
-    def step(self, evidence: FrameEvidence, frame: Array, previous: Segmentation | None) -> LayerPosterior:
+    def step(self, evidence: FrameEvidence, previous: Segmentation | None) -> LayerPosterior:
         return replace(self.posterior, frame_index=evidence.frame_index)
 
     def appearance(self) -> LayerAppearance:

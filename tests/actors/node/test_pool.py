@@ -37,7 +37,6 @@ from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory
 from mlbs_actors.actors.node.pool import PoolActor
 from mlbs_actors.actors.node.processes import end, get, here, identity, kill, spawn, wait
 from mlbs_actors.actors.stream.layer_actor import LayerStart, LayerStep
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.errors import ActorLostError, LayerError
 from mlbs_actors.messages import LayerEvidence
@@ -170,12 +169,11 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     )
     slots, memory = SlotPool(), SharedMemory()
     told = memory.share(evidence, slots.acquire("evidence"))
-    frame = memory.share(SourceFrame(0, picture(0), 0.0, "0"), slots.acquire("frame"))
     born = memory.share(capture(Memory(4)), slots.acquire("state"))
     served = kept.serve.remote(again)
     with connect(address) as channel:
         channel.send(LayerStart(SavedLayer(3, "object", -1), born))
-        channel.send(LayerStep(told, frame, None, slots.acquire("posterior"), None))
+        channel.send(LayerStep(told, None, slots.acquire("posterior"), None))
         assert memory.load(channel.receive()).layer == 3
     get(served)
     end([pool])

@@ -1,4 +1,4 @@
-"""What the coordinator carries from one frame to the next."""
+"""Everything that determines a coordinator's next frame: the state of the stream and of its epoch."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from mlbs_actors.messages import Array, FrameStatus
 from mlbs_actors.tracking.frame_buffer import HeldFrame
 from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
 
-__all__ = ["CoordinatorState", "NewFrame", "UnsettledFrame"]
+__all__ = ["CoordinatorState", "EpochState", "NewFrame", "WaitingFrame"]
 
 #: That of a stream that has shown nothing yet.
-NO_VIEW = Picture(np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8))
+NO_VIEW = Picture(np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.uint8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,17 +30,18 @@ class NewFrame:
     Attributes
     ----------
     frame_index : int
-    frame : (H, W, 3) uint8
     picture : Picture
+    stage_ms : mapping of str to float
+        Time that its stages have taken so far.
     """
 
     frame_index: int
-    frame: Array
     picture: Picture
+    stage_ms: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True)
-class UnsettledFrame:
+class WaitingFrame:
     """A frame in which the last picture does not go on: the next ones say what it is.
 
     Attributes
@@ -63,29 +64,28 @@ class UnsettledFrame:
 
 
 @dataclass(slots=True)
-class CoordinatorState:
-    """Everything that determines the coordinator's next frame.
+class EpochState:
+    """What is known of the present scene, at the present size.
 
     Attributes
     ----------
-    next_frame : int
-        Index of the next frame.
-    epoch : int
-        First picture of the present scene and size.
+    first : int
+        Its first picture; before there is one, the frame from which on it may begin.
     cut : bool
         Whether it is another scene than the one before.
-    shape : (H, W) or None
+    shape : (H, W)
+        Of its frames; (0, 0) before the stream's first one.
     pictures : int
-        Pictures of the epoch so far: frames that were not passed over.
+        Its pictures so far: frames that were not passed over.
     picture : Picture
-        The last picture as the flow sees it.
-    colours : (rows, columns, 3) uint8
-        Its :func:`~mlbs_actors.footage.light.colour_samples`.
+        The last picture.
+    view : Picture
+        The last picture that went on from the one before nearly everywhere.
     astray : (rows,) float32
-        Its :func:`~mlbs_actors.footage.continuity.rows_astray`.
+        :func:`~mlbs_actors.footage.continuity.rows_astray` of the last picture.
     fixed : FixedState
         What is fixed in it.
-    unsettled : tuple of UnsettledFrame
+    waiting : tuple of WaitingFrame
         The newest frames, if the last picture does not go on in them; oldest first.
     lost : int
         Frames since the last picture in which it was not found again.
@@ -108,28 +108,21 @@ class CoordinatorState:
         Between the labels of the registry and of the trajectories.
     clustered : bool
         Whether the first clustering is done.
+    last_clustering : int
+        Frame of the newest one; 0 if there was none.
     held : tuple of HeldFrame
         Oldest first.
-    last_clustering : int
-        Frame of the newest one; 0 if there was none in this epoch.
-    evaluated : dict of int to int
-        Last emitted frame of each layer that has a process.
-    view : Picture
-        The last picture that went on from the one before nearly everywhere.
-    left : tuple of LeftScene
-        Scenes with objects that cuts have ended, newest first.
     """
 
-    next_frame: int
-    epoch: int
+    first: int
     cut: bool
-    shape: tuple[int, int] | None
+    shape: tuple[int, int]
     pictures: int
     picture: Picture
-    colours: Array
+    view: Picture
     astray: Array
     fixed: FixedState
-    unsettled: tuple[UnsettledFrame, ...]
+    waiting: tuple[WaitingFrame, ...]
     lost: int
     focus: Array
     trajectories: TrajectoryState
@@ -141,26 +134,24 @@ class CoordinatorState:
     registry: RegistryState
     repulsion: Repulsion
     clustered: bool
-    held: tuple[HeldFrame, ...]
     last_clustering: int
-    evaluated: dict[int, int]
-    view: Picture
-    left: tuple[LeftScene, ...]
+    held: tuple[HeldFrame, ...]
 
     @staticmethod
-    def beginning(config: Config) -> CoordinatorState:
-        """Return the state before the first frame."""
-        return CoordinatorState(
-            next_frame=0,
-            epoch=0,
-            cut=False,
-            shape=None,
+    def beginning(
+        config: Config, first: int, shape: tuple[int, int], registry: RegistryState, cut: bool = False
+    ) -> EpochState:
+        """Return the state before an epoch's first picture."""
+        return EpochState(
+            first=first,
+            cut=cut,
+            shape=shape,
             pictures=0,
             picture=NO_VIEW,
-            colours=np.zeros((0, 0, 3), np.uint8),
+            view=NO_VIEW,
             astray=np.zeros(0, np.float32),
             fixed=FixedState.beginning(np.zeros((0, 0), np.uint8)),
-            unsettled=(),
+            waiting=(),
             lost=0,
             focus=np.zeros((0, 0), bool),
             trajectories=empty_trajectories(config.trajectories),
@@ -169,12 +160,35 @@ class CoordinatorState:
             focal_length=FocalLength(),
             places=(),
             spreads=np.zeros(0),
-            registry=RegistryState.empty(),
+            registry=registry,
             repulsion=Repulsion.empty(),
             clustered=False,
-            held=(),
             last_clustering=0,
-            evaluated={},
-            view=NO_VIEW,
-            left=(),
+            held=(),
         )
+
+
+@dataclass(slots=True)
+class CoordinatorState:
+    """Everything that determines the coordinator's next frame.
+
+    Attributes
+    ----------
+    next_frame : int
+        Index of the next frame.
+    epoch : EpochState
+    evaluated : dict of int to int
+        Last emitted frame of each layer that has a process.
+    left : tuple of LeftScene
+        Scenes with objects that cuts have ended, newest first.
+    """
+
+    next_frame: int
+    epoch: EpochState
+    evaluated: dict[int, int]
+    left: tuple[LeftScene, ...]
+
+    @staticmethod
+    def beginning(config: Config) -> CoordinatorState:
+        """Return the state before the first frame."""
+        return CoordinatorState(0, EpochState.beginning(config, 0, (0, 0), RegistryState.empty()), {}, ())
