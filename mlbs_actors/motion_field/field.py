@@ -20,7 +20,8 @@ Differs from the paper:
   positive elements and walk-summability would be lost. Measured on a 4 px grid under rotation, the two
   fields are equally far from the truth (0.050 and 0.048 px on average at 0.03 px/frame per px).
 * Evidence is robust: after a plain solve, weights are set to Geman and McClure's (c²/(c²+r²))², r the
-  distance of a trajectory from the field, and the field is solved again, ``robust_rounds`` times.
+  distance of a trajectory from the field, and the field is solved again, ``robust_rounds`` times. But for the
+  last, it is solved on nodes twice as far apart: weights want no more.
 * Smoothness acts on the deviation from the prior mean. For a constant prior that is the paper's model; with
   the camera's motion as prior, zoom and rotation are not penalised and extend to where no trajectory is.
 * ε is a weak prior, without which A would be singular for a layer without trajectories: spread over all
@@ -197,17 +198,19 @@ def motion_field(
     edge, precision = 1.0 / parameters.smoothness_std_px**2, 1.0 / parameters.point_std_px**2
     nodes, shares = bilinear_taps(points, rows, columns, parameters.spacing_px)
     measured = point_misfit(motions, np.ascontiguousarray(prior, np.float64), nodes, shares)
-    prior_precision = 1.0 / (parameters.prior_std_px**2 * rows * columns)
 
-    def deviation_for(weights: Array) -> Array:
-        evidence = lump(nodes, shares, precision * weights, measured, prior_precision, (rows, columns))
+    def deviation_for(weights: Array, taps: tuple[Array, Array], grid: tuple[int, int]) -> Array:
+        weak = 1.0 / (parameters.prior_std_px**2 * grid[0] * grid[1])
+        evidence = lump(*taps, precision * weights, measured, weak, grid)
         return solved(factorised(evidence[0], edge), evidence[1:])
 
-    weights = np.ones(len(points))
-    deviation = deviation_for(weights)
+    weights, apart = np.ones(len(points)), 2 * parameters.spacing_px
+    coarse = grid_shape(shape, apart)
+    taps = bilinear_taps(points, *coarse, apart)
     for _ in range(parameters.robust_rounds if len(points) else 0):
-        weights = _robust_weights(point_misfit(measured, deviation, nodes, shares), parameters.robust_px)
-        deviation = deviation_for(weights)
+        misfit = point_misfit(measured, deviation_for(weights, taps, coarse), *taps)
+        weights = _robust_weights(misfit, parameters.robust_px)
+    deviation = deviation_for(weights, (nodes, shares), (rows, columns))
     mean[:] = (prior + deviation).transpose(1, 2, 0)
     point_weights[inside] = weights
     # diag(A⁻¹) of the same model on the grid of the variance.
