@@ -13,8 +13,6 @@ from mlbs_actors.config import FlowConfig
 from mlbs_actors.flow.inverse_search import (
     FlowLevel,
     SearchEffort,
-    coarsest_level,
-    flow_levels,
     improve_flow,
     resized_flow,
 )
@@ -26,14 +24,17 @@ __all__ = ["search_both_ways"]
 
 
 def search_both_ways(
-    previous: Array, current: Array, config: FlowConfig, focus: Sequence[Region] | None = None
+    before: Sequence[FlowLevel],
+    now: Sequence[FlowLevel],
+    config: FlowConfig,
+    focus: Sequence[Region] | None = None,
 ) -> tuple[Array, Array]:
     """Search the flow between two frames, both ways.
 
     Parameters
     ----------
-    previous, current : (h, w) uint8
-        Grey levels, at least two patches high and wide.
+    before, now : sequence of FlowLevel
+        All levels of the two, finest first; at least two patches high and wide.
     focus : sequence of Region, optional
         Disjoint boxes where the finest level is computed. By default it is everywhere, and with the settings
         of the first frames, where an object that is missed stays missed for long.
@@ -41,10 +42,10 @@ def search_both_ways(
     Returns
     -------
     forward, backward : (2, h, w) float32
-        x and y of the motion from ``previous`` to ``current`` and from ``current`` to ``previous``, in pixels
-        of these.
+        x and y of the motion from ``before`` to ``now`` and from ``now`` to ``before``, in pixels of these.
     """
-    whole = [Region(0, 0, current.shape[1], current.shape[0])]
+    height, width = now[0].gray.shape
+    whole = [Region(0, 0, width, height)]
     if focus is None:
         effort = SearchEffort(
             config.first_search_iterations, config.first_refinement_iterations, config.first_patch_stride_px
@@ -52,11 +53,10 @@ def search_both_ways(
         focus = whole
     else:
         effort = SearchEffort(config.search_iterations, config.refinement_iterations, config.patch_stride_px)
-    coarsest = coarsest_level(current.shape)
+    coarsest = len(now) - 1
     finest = min(config.finest_scale, coarsest)
     if finest == coarsest:  # no coarser level gives the motion outside the boxes
         focus = whole
-    before, now = flow_levels(previous, coarsest), flow_levels(current, coarsest)
     # Two levels alone would not do: flow then bleeds 10–20 px past an object's outline.
     backward = np.zeros((2, *now[coarsest].gray.shape), np.float32)
     backward = _finer(now, before, backward, range(coarsest, finest, -1), whole, effort)
@@ -67,7 +67,7 @@ def search_both_ways(
         # Outside the boxes the scene moves as the camera does, so inverting the flow is good enough.
         turned, first = _inverted(backward), min(finest + 1, coarsest)
     forward = _finer(before, now, turned, range(first, finest - 1, -1), focus, effort)
-    forward, backward = (resized_flow(one, current.shape) for one in (forward, backward))
+    forward, backward = (resized_flow(one, (height, width)) for one in (forward, backward))
     return forward, backward
 
 

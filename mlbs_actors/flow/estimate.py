@@ -4,7 +4,7 @@ Differs from the paper: the authors use LDOF (tens of seconds a frame). Here ``f
 that takes some milliseconds, our own or OpenCV's, or the caller hands in a function. Whichever it is, the
 flow serves the trajectories, the layers' motion likelihood and the camera's motion alike.
 
-Another method is another branch of :func:`estimate_flow`.
+Another method is another branch of :meth:`FlowEstimator.between`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from mlbs_actors.config import Config, FlowConfig, detail
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.bidirectional_search import search_both_ways
 from mlbs_actors.flow.consistency import DenseFlow, checked_flow
+from mlbs_actors.flow.inverse_search import FlowLevel, coarsest_level, flow_levels
 from mlbs_actors.flow.patch_search import PATCH
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array, Region
@@ -30,7 +31,6 @@ __all__ = [
     "FlowEstimator",
     "FlowFunction",
     "Picture",
-    "estimate_flow",
     "gray_levels",
     "picture_of",
 ]
@@ -41,6 +41,9 @@ LEAST_CELLS = 2 * PATCH
 #: Pairs of frames whose flow is remembered: a frame that waits is compared with the last picture, the next
 #: frame and the scenes that were left.
 REMEMBERED = 6
+
+#: Pictures whose levels are remembered: the last one, the new one, and one in new light.
+REMEMBERED_LEVELS = 3
 
 #: Maps two frames (H, W, 3) uint8 BGR to (H, W, 2) float: the displacement of each pixel from the first frame
 #: to the second, px.
@@ -101,76 +104,76 @@ def picture_of(frame: Array, side: int, whole: bool) -> Picture:
     return Picture(colours, gray, frame.copy() if whole else np.zeros((0, 0, 3), np.uint8))
 
 
-def estimate_flow(
-    previous: Picture,
-    current: Picture,
-    side: int,
-    config: Config,
-    focus: Sequence[Region] | None = None,
-    function: FlowFunction | None = None,
-) -> DenseFlow:
-    """Estimate the flow between two frames, both ways, and check one by the other.
-
-    Parameters
-    ----------
-    previous, current : Picture
-    side : int
-        Of a cell, px.
-    focus : sequence of Region, optional
-        Disjoint boxes, in cells, beyond which the flow need not be fine; everywhere by default.
-    function : FlowFunction, optional
-        The caller's own; it takes the place of ``flow.method``.
-
-    Returns
-    -------
-    DenseFlow
-
-    Raises
-    ------
-    FrameError
-        If the function does not return a flow.
-    """
-    if function is not None:
-        forward = _from_function(function, previous.image, current.image, side)
-        backward = _from_function(function, current.image, previous.image, side)
-    elif config.flow.method == "opencv":
-        forward = _from_opencv(previous.gray, current.gray, side, config.flow)
-        backward = _from_opencv(current.gray, previous.gray, side, config.flow)
-    else:
-        planes = search_both_ways(previous.gray, current.gray, config.flow, focus)
-        forward, backward = (_interleaved(one, np.float32(side)) for one in planes)
-    return checked_flow(forward, backward, side, config.trajectories)
-
-
 class FlowEstimator:
-    """:func:`estimate_flow` of one stream, which asks a caller's function once for each pair of frames.
+    """Estimates the flow between pictures of one stream, both ways, and checks one by the other.
 
-    That may cost more than all else, and takes neither boxes nor new light into account: where a pair is
-    compared again for their sake, or a frame has waited, it would be asked the same once more.
+    What was computed of a picture, or asked of a caller's function for a pair, is remembered: the next
+    picture is compared with the same one, and the function may cost more than all else. It takes neither
+    boxes nor new light into account.
 
     Parameters
     ----------
     config : Config
     function : FlowFunction, optional
-        The caller's own, in place of ``config.flow.method``.
+        The caller's own; it takes the place of ``flow.method``.
     """
 
-    def __init__(self, config: Config, function: FlowFunction | None) -> None:
+    def __init__(self, config: Config, function: FlowFunction | None = None) -> None:
         self._config, self._function = config, function
-        self._known = deque[tuple[Array, Array, DenseFlow]](maxlen=REMEMBERED)
+        self._flows = deque[tuple[Array, Array, DenseFlow]](maxlen=REMEMBERED)
+        self._levels = deque[tuple[Array, Sequence[FlowLevel]]](maxlen=REMEMBERED_LEVELS)
 
     def between(
         self, previous: Picture, current: Picture, side: int, focus: Sequence[Region] | None = None
     ) -> DenseFlow:
-        """Estimate as :func:`estimate_flow`, with the same parameters."""
-        if self._function is None:
-            return estimate_flow(previous, current, side, self._config, focus)
-        for first, second, flow in self._known:
-            if first is previous.image and second is current.image:
-                return flow
-        flow = estimate_flow(previous, current, side, self._config, None, self._function)
-        self._known.append((previous.image, current.image, flow))
+        """Estimate the flow from one picture to another.
+
+        Parameters
+        ----------
+        previous, current : Picture
+        side : int
+            Of a cell, px.
+        focus : sequence of Region, optional
+            Disjoint boxes, in cells, beyond which the flow need not be fine; everywhere by default.
+
+        Returns
+        -------
+        DenseFlow
+
+        Raises
+        ------
+        FrameError
+            If the caller's function does not return a flow.
+        """
+        config = self._config
+        if self._function is not None:
+            return self._asked(self._function, previous.image, current.image, side)
+        if config.flow.method == "opencv":
+            forward = _from_opencv(previous.gray, current.gray, side, config.flow)
+            backward = _from_opencv(current.gray, previous.gray, side, config.flow)
+        else:
+            before, now = self._levels_of(previous.gray), self._levels_of(current.gray)
+            planes = search_both_ways(before, now, config.flow, focus)
+            forward, backward = (_interleaved(one, np.float32(side)) for one in planes)
+        return checked_flow(forward, backward, side, config.trajectories)
+
+    def _asked(self, function: FlowFunction, first: Array, second: Array, side: int) -> DenseFlow:
+        for before, after, known in self._flows:
+            if before is first and after is second:
+                return known
+        forward = _from_function(function, first, second, side)
+        backward = _from_function(function, second, first, side)
+        flow = checked_flow(forward, backward, side, self._config.trajectories)
+        self._flows.append((first, second, flow))
         return flow
+
+    def _levels_of(self, gray: Array) -> Sequence[FlowLevel]:
+        for known, levels in self._levels:
+            if known is gray:
+                return levels
+        levels = flow_levels(gray, coarsest_level(gray.shape))
+        self._levels.append((gray, levels))
+        return levels
 
 
 @compiled

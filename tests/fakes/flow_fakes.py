@@ -8,7 +8,7 @@ import numpy as np
 
 from mlbs_actors.config import Config
 from mlbs_actors.flow.consistency import DenseFlow
-from mlbs_actors.flow.estimate import Picture, estimate_flow, picture_of
+from mlbs_actors.flow.estimate import FlowEstimator, Picture, picture_of
 from mlbs_actors.messages import Array, Region
 
 
@@ -20,6 +20,5 @@ def dense_flow(
     previous: Array, current: Array, side: int, config: Config, focus: Sequence[Region] | None = None
 ) -> DenseFlow:
     nothing = np.zeros((0, 0, 3), np.uint8)
-    return estimate_flow(
-        Picture(nothing, previous, nothing), Picture(nothing, current, nothing), side, config, focus
-    )
+    before, now = (Picture(nothing, one, nothing) for one in (previous, current))
+    return FlowEstimator(config).between(before, now, side, focus)

@@ -13,7 +13,7 @@ from mlbs_actors.cells import mean_of_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.consistency import DenseFlow, reliable_at
-from mlbs_actors.flow.estimate import estimate_flow, gray_levels, picture_of
+from mlbs_actors.flow.estimate import FlowEstimator, gray_levels, picture_of
 from mlbs_actors.messages import Array, Region
 
 CONFIG = Config()
@@ -179,7 +179,7 @@ def moving_square() -> tuple[Array, Array, Array]:
 def test_opencvs_search_finds_the_same_motion() -> None:
     first, second, _ = moving_square()
     config = Config.model_validate({"flow": {"method": "opencv"}})
-    flow = estimate_flow(picture_of(first, 1, False), picture_of(second, 1, False), 1, config)
+    flow = FlowEstimator(config).between(picture_of(first, 1, False), picture_of(second, 1, False), 1)
     np.testing.assert_allclose(np.median(flow.forward[38:58, 46:66], axis=(0, 1)), [8, 0], atol=0.3)
     np.testing.assert_allclose(np.median(flow.forward[:20], axis=(0, 1)), [0, 0], atol=0.1)
     assert flow.backward_reliable.mean() > 0.7
@@ -197,7 +197,7 @@ def test_a_callers_flow_is_asked_for_both_directions_and_averaged_over_cells(sid
         return motion
 
     pictures = picture_of(first, side, True), picture_of(second, side, True)
-    found = estimate_flow(*pictures, side, CONFIG, None, flow)
+    found = FlowEstimator(CONFIG, flow).between(*pictures, side)
     assert asked == [(first[0, 0, 0], second[0, 0, 0]), (second[0, 0, 0], first[0, 0, 0])]
     assert found.forward.shape == (-(-96 // side), -(-128 // side), 2)
     np.testing.assert_allclose(found.forward[5, -5], [6, -2])
@@ -218,7 +218,7 @@ def test_a_callers_flow_is_asked_for_both_directions_and_averaged_over_cells(sid
 def test_what_is_no_flow_is_refused_in_a_sentence(returned: Any, complaint: str) -> None:
     pictures = [picture_of(one, 1, True) for one in moving_square()[:2]]
     with pytest.raises(FrameError, match=complaint):
-        estimate_flow(pictures[0], pictures[1], 1, CONFIG, None, lambda *_: returned)
+        FlowEstimator(CONFIG, lambda *_: returned).between(pictures[0], pictures[1], 1)
 
 
 @pytest.mark.parametrize("colour", [(60, 70, 185), (200, 90, 60)], ids=["red", "blue"])
