@@ -2,9 +2,9 @@
 
 They are the one grid of a frame: the dense flow, how well the camera explains the image, and every layer's
 posterior and colours are maps of cells. A cell is 2×2 pixels of a 640×480 frame, 3×3 of 960×540 and of
-1920×1080, 5×5 of 3840×2160 (:func:`~mlbs_actors.config.length_scale`). The graph cut draws outlines from the
-pixels themselves; elsewhere a cell's mean colour is nearly as good, at a fraction of the time, the memory and
-the messages. Objects' regions begin and end between cells.
+1280×720, 4×4 of 1920×1080, 5×5 of 3840×2160 (:func:`~mlbs_actors.config.length_scale`). The graph cut draws
+outlines from the pixels themselves; elsewhere a cell's mean colour is nearly as good, at a fraction of the
+time, the memory and the messages. Objects' regions begin and end between cells.
 
 Differs from the paper, which evaluates and keeps samples for every pixel.
 """

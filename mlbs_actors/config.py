@@ -63,7 +63,7 @@ class GridConfig(_Section):
     """The cells of a frame: the one grid of flow, trajectories' evidence, posteriors and colours."""
 
     cell_px: float = Field(
-        2.0,
+        2.1,
         gt=0,
         le=24,
         description="Side of the square of pixels that share flow, posterior and samples, px.",

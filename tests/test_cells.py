@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mlbs_actors import Config
 from mlbs_actors.cells import (
     aligned,
     cell_side,
@@ -81,5 +82,6 @@ def test_an_aligned_region_holds_whole_cells_and_ends_at_the_frame() -> None:
 
 
 def test_cells_grow_with_the_frame_and_less_in_large_ones() -> None:
-    shapes = ((120, 160), (240, 320), (480, 640), (540, 960), (1080, 1920), (2160, 3840))
-    assert [cell_side(shape, 2.0) for shape in shapes] == [1, 1, 2, 3, 3, 5]
+    shapes = ((120, 160), (240, 320), (480, 640), (540, 960), (720, 1280), (1080, 1920), (2160, 3840))
+    cell_px = Config().grid.cell_px
+    assert [cell_side(shape, cell_px) for shape in shapes] == [1, 1, 2, 3, 3, 4, 5]
