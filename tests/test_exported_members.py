@@ -10,6 +10,7 @@ import pkgutil
 import pydoc
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 from types import ModuleType
 
@@ -104,6 +105,18 @@ def test_only_the_actors_import_ray_and_nothing_here_imports_the_orchestrator() 
         if PACKAGE / "actors" not in path.parents:
             assert "ray" not in tops, path.name
             assert not any(name.startswith("mlbs_actors.actors") for name in imported_modules(path)), path
+
+
+def test_folders_of_the_engine_import_each_other_in_one_direction_only() -> None:
+    below: dict[str, set[str]] = {}
+    for path in PACKAGE.rglob("*.py"):
+        folder, *inside = path.relative_to(PACKAGE).parts
+        if inside:
+            named = (name.split(".") for name in imported_modules(path) if name.startswith("mlbs_actors."))
+            below.setdefault(folder, set()).update(name[1] for name in named)
+    folders = {one: {other for other in below[one] & below.keys() if other != one} for one in below}
+    assert len(folders) > 8
+    list(TopologicalSorter(folders).static_order())  # raises CycleError, which names the circle
 
 
 @pytest.mark.parametrize(

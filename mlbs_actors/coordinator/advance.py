@@ -12,13 +12,13 @@ from mlbs_actors.clustering.label_index import UNLABELLED
 from mlbs_actors.clustering.layer_registry import LayerRegistry
 from mlbs_actors.clustering.two_views import Places
 from mlbs_actors.config import Config, LayersConfig, length_scale
+from mlbs_actors.coordinator.held_frames import first_frame, held_frame, relabelled
 from mlbs_actors.coordinator.labelling import cluster, observe
 from mlbs_actors.coordinator.matching import Match
 from mlbs_actors.coordinator.state import EpochState, NewFrame
 from mlbs_actors.flow.focus import focus_blocks
 from mlbs_actors.messages import BACKGROUND, NO_PICTURE, FrameStatus, Segmentation
 from mlbs_actors.stages import timed
-from mlbs_actors.tracking.frame_buffer import first_frame, held_frame, relabelled
 from mlbs_actors.tracking.tracker import Tracked
 
 __all__ = ["advance", "clustering_due", "follow_on"]

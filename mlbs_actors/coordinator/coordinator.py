@@ -21,6 +21,7 @@ from mlbs_actors.config import Config, length_scale
 from mlbs_actors.coordinator.advance import advance, clustering_due, follow_on
 from mlbs_actors.coordinator.evidence import frame_evidence, is_at_rest
 from mlbs_actors.coordinator.gate import BeginScene, PassOver, Take, Wait, admitted, passed_over
+from mlbs_actors.coordinator.held_frames import no_picture
 from mlbs_actors.coordinator.labelling import cluster
 from mlbs_actors.coordinator.matching import Matcher
 from mlbs_actors.coordinator.state import CoordinatorState, EpochState, NewFrame
@@ -28,7 +29,6 @@ from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.estimate import FlowFunction
 from mlbs_actors.messages import BACKGROUND, NO_PICTURE, Array, FrameEvidence, FrameStatus, Segmentation
 from mlbs_actors.stages import timed
-from mlbs_actors.tracking.frame_buffer import no_picture
 from mlbs_actors.tracking.trajectories import TrackFunction
 
 __all__ = ["Coordinator"]

@@ -9,9 +9,9 @@ import numpy as np
 from mlbs_actors.clustering.label_index import distinct_labels
 from mlbs_actors.clustering.layer_registry import LayerRegistry
 from mlbs_actors.config import Config
+from mlbs_actors.coordinator.held_frames import HeldFrame, by_layer
 from mlbs_actors.coordinator.state import CoordinatorState
 from mlbs_actors.messages import BACKGROUND, NO_PICTURE, FrameEvidence, LayerKind, LayerTracks
-from mlbs_actors.tracking.frame_buffer import HeldFrame, by_layer
 
 __all__ = ["frame_evidence", "is_at_rest"]
 

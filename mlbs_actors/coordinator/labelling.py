@@ -33,10 +33,10 @@ from mlbs_actors.clustering.splitting import (
     split_origins,
 )
 from mlbs_actors.config import Config, length_scale
+from mlbs_actors.coordinator.held_frames import relabelled
 from mlbs_actors.coordinator.state import EpochState
 from mlbs_actors.messages import BACKGROUND, Array, Segmentation
 from mlbs_actors.stages import timed
-from mlbs_actors.tracking.frame_buffer import relabelled
 
 __all__ = ["cluster", "observe"]
 

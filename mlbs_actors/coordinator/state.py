@@ -11,10 +11,10 @@ from mlbs_actors.clustering.registry_state import RegistryState
 from mlbs_actors.clustering.repulsion import Repulsion
 from mlbs_actors.clustering.two_views import FocalLength, Places
 from mlbs_actors.config import Config
+from mlbs_actors.coordinator.held_frames import HeldFrame
 from mlbs_actors.flow.estimate import Picture
 from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.messages import Array, FrameStatus
-from mlbs_actors.tracking.frame_buffer import HeldFrame
 from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
 
 __all__ = ["CoordinatorState", "EpochState", "NewFrame", "WaitingFrame"]

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from mlbs_actors.config import FlowConfig
+from mlbs_actors.geometry.boxes import group_regions
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array, Region
-from mlbs_actors.segmentation.region_groups import group_regions
 
 __all__ = ["focus_blocks", "focus_boxes"]
 

@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 
 from mlbs_actors.flow.consistency import DenseFlow
+from mlbs_actors.geometry.homography import homography_motion
 from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import homography_motion
 
 __all__ = [
     "LEAST_FOUND",

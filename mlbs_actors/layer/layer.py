@@ -46,6 +46,7 @@ from mlbs_actors.cells import cell_side, cells_won, in_cells, spread_over_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
 from mlbs_actors.footage.light import relit
+from mlbs_actors.geometry.boxes import slices_in
 from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.layer.learning import object_support, trusted_background
 from mlbs_actors.layer.object_regions import contested, median_of_motions, object_region
@@ -68,7 +69,6 @@ from mlbs_actors.messages import (
 )
 from mlbs_actors.motion_field.field import MotionField, MotionParameters, motion_field
 from mlbs_actors.motion_field.node_grid import node_positions
-from mlbs_actors.segmentation.region_groups import slices_in
 
 __all__ = ["OUTSIDE_COST", "Layer"]
 

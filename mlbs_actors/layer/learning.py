@@ -10,15 +10,15 @@ import numpy as np
 
 from mlbs_actors.cells import aligned, in_cells
 from mlbs_actors.config import Config, length_scale
-from mlbs_actors.kernels.jit import compiled
-from mlbs_actors.layer.object_regions import bounds, box_within
-from mlbs_actors.layer.trajectory_distance import (
+from mlbs_actors.geometry.distance import (
     closed_distance,
     occupied_cells,
     occupy,
     to_occupied,
     trajectory_distance,
 )
+from mlbs_actors.kernels.jit import compiled
+from mlbs_actors.layer.object_regions import bounds, box_within
 from mlbs_actors.messages import UNEXPLAINED_STEP, Array, FrameEvidence, LayerEvidence, LayerTracks, Region
 
 __all__ = ["object_support", "trusted_background"]

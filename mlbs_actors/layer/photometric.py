@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mlbs_actors.config import PosteriorConfig
+from mlbs_actors.geometry.homography import homography_of_cells
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import homography_of_cells
 
 __all__ = ["PhotometricRules", "photometric_advantage"]
 

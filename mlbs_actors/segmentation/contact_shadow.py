@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 
 from mlbs_actors.config import SegmentationConfig
+from mlbs_actors.geometry.boxes import grown, slices_in
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, Array, Region
 from mlbs_actors.segmentation.label_runs import label_runs
-from mlbs_actors.segmentation.region_groups import grown, slices_in
 from mlbs_actors.segmentation.shadows import Darkening
 
 __all__ = ["contact_shadow"]

@@ -19,6 +19,7 @@ import numpy as np
 from mlbs_actors.appearance.fusion import LIKELIHOOD
 from mlbs_actors.cells import in_pixels
 from mlbs_actors.config import SegmentationConfig, length_scale
+from mlbs_actors.geometry.boxes import merge_boxes
 from mlbs_actors.graphcut.energy import LabelCostEnergy
 from mlbs_actors.graphcut.graph_cut import minimise
 from mlbs_actors.kernels.jit import compiled
@@ -26,7 +27,6 @@ from mlbs_actors.messages import BACKGROUND, Array, Region
 from mlbs_actors.segmentation.cleaning import clean_labels
 from mlbs_actors.segmentation.contact_shadow import contact_shadow
 from mlbs_actors.segmentation.contrast import COST_QUANTUM, contrast_weights, weights_by_distance
-from mlbs_actors.segmentation.region_groups import merge_boxes
 from mlbs_actors.segmentation.shadows import Darkening, darkening, ground_likelihoods
 from mlbs_actors.segmentation.unaries import discount_shadows, proposed_costs, track_pulls
 

@@ -7,7 +7,7 @@ where samples are missing: trajectory labels decide, contrast draws the outline,
 shadows, which move with an object, are separated from it (:mod:`mlbs_actors.segmentation.shadows`). The
 published map is the cleaned one (specks, holes and contact shadows removed), and the layers learn from it. A
 layer other than the background can own nothing outside its region, so nearby regions form independent groups
-(:mod:`mlbs_actors.segmentation.region_groups`); in them the layers' proposals
+(:mod:`mlbs_actors.geometry.boxes`); in them the layers' proposals
 (:mod:`mlbs_actors.segmentation.proposals`) are labelled (:mod:`mlbs_actors.segmentation.group_labelling`).
 Layers that are parts of one object keep their own labels here; they get one id only in what is published
 (:mod:`mlbs_actors.segmentation.attached_parts`).
@@ -24,6 +24,7 @@ from mlbs_actors.appearance.fusion import fused_costs
 from mlbs_actors.cells import cell_side, in_cells
 from mlbs_actors.config import Config
 from mlbs_actors.errors import FrameError
+from mlbs_actors.geometry.boxes import group_regions
 from mlbs_actors.messages import (
     BACKGROUND,
     NO_PICTURE,
@@ -38,7 +39,6 @@ from mlbs_actors.segmentation.attached_parts import PartsState, find_parts
 from mlbs_actors.segmentation.group_labelling import LayerStatistics, Proposals, Scene, label_proposals
 from mlbs_actors.segmentation.mask_score import mask_score
 from mlbs_actors.segmentation.proposals import proposal_boxes
-from mlbs_actors.segmentation.region_groups import group_regions
 from mlbs_actors.segmentation.shadows import ground_colour
 
 __all__ = ["Segmenter", "SegmenterState"]

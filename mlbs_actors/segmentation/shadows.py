@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 
 from mlbs_actors.config import SegmentationConfig, length_scale
+from mlbs_actors.geometry.distance import trajectory_distance
 from mlbs_actors.kernels.jit import compiled
-from mlbs_actors.layer.trajectory_distance import trajectory_distance
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 
 __all__ = ["Darkening", "darkening", "ground_colour", "ground_likelihoods"]

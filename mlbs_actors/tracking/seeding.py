@@ -15,7 +15,7 @@ import numpy as np
 
 from mlbs_actors.config import TrajectoriesConfig, detail, length_scale
 from mlbs_actors.flow.consistency import DenseFlow
-from mlbs_actors.kernels.interpolation import sample_flow
+from mlbs_actors.geometry.interpolation import sample_flow
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.density import SQUARE, cell_of, room_left

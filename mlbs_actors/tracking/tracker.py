@@ -17,15 +17,10 @@ from mlbs_actors.cells import cell_side
 from mlbs_actors.config import Config, length_scale
 from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.footage.fixed import FixedState, fixed_cells
-from mlbs_actors.kernels.interpolation import sample_map
+from mlbs_actors.geometry.homography import homography_motion
+from mlbs_actors.geometry.interpolation import sample_map
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import (
-    CameraEvidence,
-    camera_evidence,
-    camera_homography,
-    explained_share,
-    homography_motion,
-)
+from mlbs_actors.tracking.camera import CameraEvidence, camera_evidence, camera_homography, explained_share
 from mlbs_actors.tracking.density import within_room
 from mlbs_actors.tracking.epipolar import forward_motion, static_motion
 from mlbs_actors.tracking.rolling_shutter import Swing, swing_of_rows

@@ -15,7 +15,7 @@ import numpy as np
 from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.errors import FrameError
 from mlbs_actors.flow.consistency import DenseFlow, reliable_at
-from mlbs_actors.kernels.interpolation import sample_flow
+from mlbs_actors.geometry.interpolation import sample_flow
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 

@@ -12,8 +12,9 @@ from layer_fakes import CAR, SHAPE, WHOLE, frame_of, grid, owned, picture, publi
 from mlbs_actors.appearance.fusion import with_appearance
 from mlbs_actors.config import Config
 from mlbs_actors.errors import LayerError
+from mlbs_actors.geometry.boxes import slices_in
+from mlbs_actors.geometry.distance import trajectory_distance
 from mlbs_actors.layer.layer import Layer
-from mlbs_actors.layer.trajectory_distance import trajectory_distance
 from mlbs_actors.messages import (
     BACKGROUND,
     COST_STEP,
@@ -25,7 +26,6 @@ from mlbs_actors.messages import (
     Segmentation,
     readonly,
 )
-from mlbs_actors.segmentation.region_groups import slices_in
 
 #: Every term is off; each test switches on what it is about.
 SILENT = {"appearance": 0.0, "motion": 0.0, "photometric": 0.0, "prior": 0.0, "distance": 0.0, "offset": 4.0}

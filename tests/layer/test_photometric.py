@@ -11,9 +11,9 @@ from opencv_sampling import exact_opencv
 from read_only import read_only
 
 from mlbs_actors.config import PosteriorConfig
+from mlbs_actors.geometry.homography import homography_of_cells
 from mlbs_actors.layer.photometric import PhotometricRules, photometric_advantage
 from mlbs_actors.messages import Array, Region
-from mlbs_actors.tracking.camera import homography_of_cells
 
 SHAPE = (90, 120)
 WHOLE = Region(0, 0, SHAPE[1], SHAPE[0])

@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 
 from mlbs_actors.config import TrajectoriesConfig
+from mlbs_actors.geometry.homography import homography_motion, homography_of_cells
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import (
-    _differences,
-    _median_error,
-    camera_evidence,
-    camera_homography,
-    homography_motion,
-    homography_of_cells,
-)
+from mlbs_actors.tracking.camera import _differences, _median_error, camera_evidence, camera_homography
 
 #: A roll of 2°, a zoom of 3 %, a shift and a little perspective.
 TRUE = np.array([[1.029, -0.036, 6.0], [0.036, 1.029, -4.0], [2e-5, -1e-5, 1.0]])

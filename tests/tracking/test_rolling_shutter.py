@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from mlbs_actors.config import TrajectoriesConfig
+from mlbs_actors.geometry.homography import homography_motion
 from mlbs_actors.messages import Array
-from mlbs_actors.tracking.camera import (
-    camera_evidence,
-    camera_homography,
-    explained_share,
-    homography_motion,
-)
+from mlbs_actors.tracking.camera import camera_evidence, camera_homography, explained_share
 from mlbs_actors.tracking.rolling_shutter import Swing, swing_of_rows
 
 CONFIG = TrajectoriesConfig()

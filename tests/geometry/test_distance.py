@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from read_only import read_only
 
-from mlbs_actors.layer.trajectory_distance import (
+from mlbs_actors.geometry.distance import (
     closed_distance,
     occupied_cells,
     occupy,

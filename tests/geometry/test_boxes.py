@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mlbs_actors.geometry.boxes import RegionGroup, group_regions, slices_in
 from mlbs_actors.messages import Region
-from mlbs_actors.segmentation.region_groups import RegionGroup, group_regions, slices_in
 
 SHAPE = (60, 80)
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from mlbs_actors.clustering.label_index import distinct_labels
+from mlbs_actors.coordinator import held_frames
 from mlbs_actors.messages import UNEXPLAINED_STEP
-from mlbs_actors.tracking import frame_buffer
 
 RNG = np.random.default_rng(2)
 
 
 def test_what_is_unexplained_is_counted_in_whole_steps_up_to_255() -> None:
     steps = np.r_[np.arange(0, 300, 0.25), 1e6].astype(np.float32)
-    found = frame_buffer._quantised(steps[None] * np.float32(UNEXPLAINED_STEP))
+    found = held_frames._quantised(steps[None] * np.float32(UNEXPLAINED_STEP))
     np.testing.assert_array_equal(found[0], np.minimum(np.rint(steps), 255))
 
 
@@ -23,7 +23,7 @@ def test_trajectories_are_told_apart_by_layer_where_they_tell_something() -> Non
     evidence = rng.normal(size=60).astype(np.float32)
     positions, motions = rng.random((2, 60, 2)).astype(np.float32)
     assert distinct_labels(owner) == {0, 2, 7}
-    there, moved, starts = frame_buffer.by_layer(live, owner, evidence, np.float32(0.25), positions, motions)
+    there, moved, starts = held_frames.by_layer(live, owner, evidence, np.float32(0.25), positions, motions)
     for layer, start, end in zip(live, starts, starts[1:], strict=False):
         telling = (owner == layer) & ((evidence >= 0.25) | (layer == 0))
         np.testing.assert_array_equal(there[start:end], positions[telling])

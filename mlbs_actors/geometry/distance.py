@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mlbs_actors.geometry.points_in_box import points_in_box
 from mlbs_actors.kernels.jit import compiled, inlined
-from mlbs_actors.layer.points_in_box import points_in_box
 from mlbs_actors.messages import Array, Region
 
 __all__ = ["closed_distance", "occupied_cells", "occupy", "to_occupied", "trajectory_distance"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from opencv_sampling import exact_opencv
 
-from mlbs_actors.kernels.interpolation import sample_flow, sample_map
+from mlbs_actors.geometry.interpolation import sample_flow, sample_map
 from mlbs_actors.messages import Array
 
 SIDE = 2

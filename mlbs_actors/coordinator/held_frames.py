@@ -16,7 +16,7 @@ from mlbs_actors.clustering.label_index import UNLABELLED, label_places
 from mlbs_actors.config import TrajectoriesConfig
 from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.footage.light import unchanged
-from mlbs_actors.kernels.interpolation import sample_flow, sample_map
+from mlbs_actors.geometry.interpolation import sample_flow, sample_map
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, UNEXPLAINED_STEP, Array, FrameStatus
 from mlbs_actors.tracking.camera import camera_evidence

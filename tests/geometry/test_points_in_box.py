@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from read_only import read_only
 
-from mlbs_actors.layer.points_in_box import points_in_box
+from mlbs_actors.geometry.points_in_box import points_in_box
 from mlbs_actors.messages import Array
 
 
