@@ -47,7 +47,26 @@ def halved(whole: LabelCostEnergy) -> LabelCostEnergy:
         Of (⌈H/2⌉, ⌈W/2⌉) blocks; but for outlines equal to the whole energy on every such labelling, up to
         the bound of a block's cost.
     """
+    height, width = whole.weights.shape[:2]
+    if whole.side > 2 and whole.side % 2 == height % 2 == width % 2 == 0:
+        return _energy_in_cells(whole)
     return _energy_of_blocks(whole if whole.side == 2 else energy_of_pixels(whole))
+
+
+@compiled
+def _energy_in_cells(whole: LabelCostEnergy) -> LabelCostEnergy:
+    """Apply :func:`halved` to cells of whole blocks, which share their costs there, too."""
+    sums = np.empty_like(whole.unary)
+    for label in range(sums.shape[0]):
+        top, bottom, left, right = whole.places[label]
+        for v in range(top, bottom):
+            for u in range(left, right):
+                sums[label, v, u] = min(np.int32(4) * whole.unary[label, v, u], np.int32(MAX_BLOCK_COST))
+    extras = whole.extras.copy()
+    extras[:, 1:3] //= 2
+    return LabelCostEnergy(
+        sums, _halved_weights(whole.weights), whole.label_costs, whole.places, whole.side // 2, extras
+    )
 
 
 @compiled

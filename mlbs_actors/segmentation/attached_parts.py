@@ -127,7 +127,7 @@ def find_parts(
     PartsState
     """
     step = max(1, round(min(labels.shape) / _ROWS))
-    coarse = labels[::step, ::step]
+    coarse = np.ascontiguousarray(labels[::step, ::step])
     areas = _areas(coarse)
     columns = (state.layers, state.appeared, state.part_of, state.apart, state.usual, state.live)
     rows = zip(*(one.tolist() for one in columns), strict=True)
@@ -186,7 +186,7 @@ def find_parts(
 def _areas(labels: Array) -> Array:
     """Count the pixels of each layer up to the last one in a map, (k,) int64."""
     count = int(labels.max()) + 1
-    histogram = cv2.calcHist([np.ascontiguousarray(labels)], [0], None, [count], [0, count])
+    histogram = cv2.calcHist([labels], [0], None, [count], [0, count])
     return histogram.reshape(-1).astype(np.int64)
 
 

@@ -117,7 +117,7 @@ def test_an_edge_of_the_image_between_the_pixels_of_a_block_is_not_lost() -> Non
     assert coarse.weights[:, [0, 1], 0].max() <= 4 < coarse.weights[:, 2, 0].min()
 
 
-@pytest.mark.parametrize("side", [1, 2, 3])
+@pytest.mark.parametrize("side", [1, 2, 3, 4])
 @pytest.mark.parametrize("shape", [(3, 7, 9), (2, 6, 8), (2, 1, 5)])
 def test_costs_of_cells_and_of_single_pixels_are_those_of_all_pixels(
     side: int, shape: tuple[int, int, int]
@@ -139,7 +139,12 @@ def test_costs_of_cells_and_of_single_pixels_are_those_of_all_pixels(
         unary[k, y, x] += cost
     plain = energy_of(unary, problem.weights, problem.label_costs)
     np.testing.assert_array_equal(energy_of_pixels(given).unary, unary)
-    np.testing.assert_array_equal(halved(given).unary, halved(plain).unary)
+    coarse, of_blocks = halved(given), halved(plain)
+    np.testing.assert_array_equal(energy_of_pixels(coarse).unary, of_blocks.unary)
+    np.testing.assert_array_equal(coarse.weights, of_blocks.weights)
+    np.testing.assert_array_equal(
+        energy_of_pixels(halved(coarse)).unary, energy_of_pixels(halved(of_blocks)).unary
+    )
     labels = rng.integers(0, count, (height, width))
     blocks = labels[::2, ::2].astype(np.int16)
     bands = [band_around_outlines(one, blocks)[1].unaries for one in (given, plain)]
@@ -182,7 +187,7 @@ def test_only_pixels_near_an_outline_are_open_and_the_rest_is_folded_into_their_
 
 
 @pytest.mark.parametrize("shape", [(11, 14), (8, 8), (1, 7), (6, 1)])
-@pytest.mark.parametrize("side", [1, 2, 3])
+@pytest.mark.parametrize("side", [1, 2, 3, 4])
 def test_a_label_that_can_only_be_in_its_place_costs_too_much_elsewhere(
     side: int, shape: tuple[int, int]
 ) -> None:
