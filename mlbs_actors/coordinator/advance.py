@@ -78,6 +78,7 @@ def advance(
     epoch: EpochState,
     new: NewFrame,
     match: Match,
+    due: bool,
     feedback: Callable[[], Segmentation] | None,
     config: Config,
 ) -> None:
@@ -91,13 +92,15 @@ def advance(
         The picture.
     match : Match
         How it followed the one before.
+    due : bool
+        Whether trajectories are to be clustered (:func:`clustering_due`).
     feedback : callable or None
         Returns a Segmentation shortly before; called late.
     config : Config
     """
     frame_index, tracked = new.frame_index, match.tracked
     assert tracked is not None  # in a picture that is taken
-    due, carried = clustering_due(epoch, frame_index, config.layers), epoch.labels
+    carried = epoch.labels
     if due and not match.told and not epoch.clustered:
         # Nothing is known of what moves: all is background until the camera's motion is told.
         epoch.labels, epoch.clustered = np.full(len(epoch.labels), BACKGROUND, np.int64), True

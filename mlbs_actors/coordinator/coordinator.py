@@ -183,10 +183,10 @@ class Coordinator:
         epoch, new, match = self.state.epoch, decision.new, decision.match
         self._stop_waiting(new.frame_index)
         follow_on(epoch, new, match, self.config)
-        is_new = new.frame_index - epoch.first < 2 * self.config.layers.init_frames
-        if match.told and is_new and clustering_due(epoch, new.frame_index, self.config.layers):
+        due = clustering_due(epoch, new.frame_index, self.config.layers)
+        if due and match.told and new.frame_index - epoch.first < 2 * self.config.layers.init_frames:
             self._recall(new)
-        advance(epoch, new, match, feedback, self.config)
+        advance(epoch, new, match, due, feedback, self.config)
 
     def _recall(self, new: NewFrame) -> None:
         """If a picture is one of a scene that was left, take its objects for lost ones of this scene."""

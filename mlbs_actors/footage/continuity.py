@@ -21,6 +21,7 @@ import numpy as np
 
 from mlbs_actors.flow.consistency import DenseFlow
 from mlbs_actors.geometry.homography import homography_motion
+from mlbs_actors.kernels.image_rows import mirrored
 from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.messages import Array
 
@@ -144,12 +145,12 @@ def _correlated(old: Array, new: Array, inside: Array) -> tuple[Array, Array]:
     for y in range(height):
         columns[:] = 0
         for v in range(y - reach, y + reach + 1):
-            before, after = old[_mirrored(v, height)], new[_mirrored(v, height)]
+            before, after = old[mirrored(v, height)], new[mirrored(v, height)]
             _add_products(before, after, columns[:, reach : reach + width])
         for x in range(-reach, 0):
             end = width - 1 - x
-            columns[:, reach + x] = columns[:, reach + _mirrored(x, width)]
-            columns[:, reach + end] = columns[:, reach + _mirrored(end, width)]
+            columns[:, reach + x] = columns[:, reach + mirrored(x, width)]
+            columns[:, reach + end] = columns[:, reach + mirrored(end, width)]
         sums[:] = 0
         for moment in range(5):
             total = sums[moment]
@@ -178,14 +179,6 @@ def _add_products(before: Array, after: Array, sums: Array) -> None:
         squared[x] += one * one
         other_squared[x] += other * other
         both[x] += one * other
-
-
-@compiled
-def _mirrored(at: int, length: int) -> int:
-    """Mirror an index at the first and last sample of a row."""
-    while length > 1 and not 0 <= at < length:
-        at = -at if at < 0 else 2 * length - 2 - at
-    return at if length > 1 else 0
 
 
 def rows_astray(flow: DenseFlow, camera: Array, scale: float) -> Array:

@@ -8,7 +8,7 @@ from mlbs_actors.kernels.jit import compiled, inlined
 from mlbs_actors.kernels.simd import LANES, Lanes, broadcast, load, maximum, store
 from mlbs_actors.messages import Array
 
-__all__ = ["padded_part", "padded_planes", "read_row", "row_room"]
+__all__ = ["mirrored", "padded_part", "padded_planes", "read_row", "row_room"]
 
 
 @compiled
@@ -98,3 +98,11 @@ def _weighed(flat: Array, at: np.uint64, before: Lanes, here: Lanes, after: Lane
         + after * load(flat, at + two, LANES)
     )  # fmt: skip
     return weighed
+
+
+@compiled
+def mirrored(at: int, length: int) -> int:
+    """Mirror an index at the first and last pixel of a row."""
+    while length > 1 and not 0 <= at < length:
+        at = -at if at < 0 else 2 * length - 2 - at
+    return at if length > 1 else 0

@@ -20,6 +20,7 @@ import numpy as np
 
 from mlbs_actors.config import SegmentationConfig, length_scale
 from mlbs_actors.geometry.distance import trajectory_distance
+from mlbs_actors.kernels.image_rows import mirrored
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import BACKGROUND, Array, FrameEvidence, Region
 
@@ -162,14 +163,14 @@ def _smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) ->
         inside = column[3 * first : 3 * last]
         inside[:] = 0
         for k in range(-reach, reach + 1):
-            begin = length * _mirrored(top + y + k, picture.shape[0]) + left - reach
+            begin = length * mirrored(top + y + k, picture.shape[0]) + left - reach
             known, weight = pixels[3 * (begin + first) : 3 * (begin + last)], weights[middle + k]
             for i in range(inside.size):
                 inside[i] += weight * np.int32(known[i])
         for x in range(width + 2 * reach):
             if not first <= x < last:
-                mirrored = _mirrored(left + x - reach, picture.shape[1]) + reach - left
-                column[3 * x : 3 * x + 3] = column[3 * mirrored : 3 * mirrored + 3]
+                twin = mirrored(left + x - reach, picture.shape[1]) + reach - left
+                column[3 * x : 3 * x + 3] = column[3 * twin : 3 * twin + 3]
         row[:] = 1 << 15
         for k in range(2 * reach + 1):
             weight, beside = weights[middle - reach + k], column[3 * k : 3 * (k + width)]
@@ -179,14 +180,6 @@ def _smoothed(picture: Array, weights: Array, box: tuple[int, int, int, int]) ->
         for i in range(row.size):
             flat[i] = np.uint8(row[i] >> np.int32(16))
     return smooth
-
-
-@compiled
-def _mirrored(at: int, length: int) -> int:
-    """Mirror an index at the first and last pixel of a row."""
-    while length > 1 and not 0 <= at < length:
-        at = -at if at < 0 else 2 * length - 2 - at
-    return at if length > 1 else 0
 
 
 @compiled

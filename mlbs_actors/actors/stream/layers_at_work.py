@@ -108,13 +108,13 @@ class LayersAtWork:
             channel.send(self._here.pop(one.layer).hand_over(one.state))
 
     def step(
-        self, frame: SharedEvidence, answers: Mapping[int, Slot], appearance: Slot | None
+        self, shared: SharedEvidence, answers: Mapping[int, Slot], appearance: Slot | None
     ) -> list[LayerPosterior]:
         """Have the layers process a frame in parallel; those of this process run one after the other.
 
         Parameters
         ----------
-        frame : SharedEvidence
+        shared : SharedEvidence
         answers : mapping of int to Slot
             For the posteriors of the frame's layers.
         appearance : Slot, optional
@@ -125,13 +125,13 @@ class LayersAtWork:
         list of LayerPosterior
             In the order of the answers.
         """
-        where = frame.where_evidence, frame.where_previous
+        where = shared.where_evidence, shared.where_previous
         for layer, answer in answers.items():
             if layer in self._elsewhere:
                 wanted = appearance if layer == BACKGROUND else None
                 self._elsewhere[layer].send(LayerStep(*where, answer, wanted))
         posteriors = {
-            layer: readonly(self._here[layer].step(frame.evidence, frame.previous))
+            layer: readonly(self._here[layer].step(shared.evidence, shared.previous))
             for layer in answers
             if layer in self._here
         }
