@@ -1,30 +1,46 @@
 """Compiles all kernels, or loads their machine code, before the first frame needs them.
 
-``python -m mlbs_actors.warm_up`` compiles what every run needs, once after an installation, in two processes;
-existing machine code is only loaded.
+Each process of a stream loads those of its own part. ``python -m mlbs_actors.warm_up`` compiles what every
+run needs, once after an installation, in two processes; existing machine code is only loaded.
 """
 
 from __future__ import annotations
 
-import logging
 import multiprocessing
 import sys
-import threading
 from collections.abc import Iterator
 from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from functools import partial
 from time import perf_counter
 
 import cv2
 import numpy as np
 
-from mlbs_actors.config import Config
-from mlbs_actors.messages import Array, FrameEvidence, LayerKind, LayerTracks, Segmentation, readonly
+from mlbs_actors.config import Config, load_config
+from mlbs_actors.messages import (
+    Array,
+    FrameEvidence,
+    LayerKind,
+    LayerPosterior,
+    LayerTracks,
+    Segmentation,
+    readonly,
+)
 
-__all__ = ["main", "warm_layer", "warm_stream"]
+__all__ = ["main", "warm_coordinator", "warm_layer", "warm_segmenter"]
 
 #: Interval of progress messages, s.
 _PROGRESS_SECONDS = 5.0
+
+#: The squares of the small scene: left and top edge in its first frame and motion to the right, px.
+_SIDE = 70
+_SQUARES = ((20, 20, 5), (150, 70, -4))
+_GROUND_MOTION = -2
+_SHAPE = (160, 320)
+
+#: Its layers have cells of 2 px, as those of larger frames do.
+_CELL = 2
+_LAYERS = load_config(None, ["grid.cell_px=5"])
 
 
 def main() -> int:
@@ -32,7 +48,7 @@ def main() -> int:
     started = perf_counter()
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=context) as pool:
-        pending = {pool.submit(_warm_layer_and_cut), pool.submit(_label_small_scene)}
+        pending = {pool.submit(warm_coordinator), pool.submit(warm_segmenter)}
         while pending:
             done, pending = wait(pending, _PROGRESS_SECONDS, return_when=FIRST_EXCEPTION)
             for one in done:
@@ -42,96 +58,115 @@ def main() -> int:
     return 0
 
 
-def warm_layer() -> None:
-    """Run a layer of either kind over two small frames.
-
-    The arrays are read-only, like those of real frames: for Numba that is another type, with kernels of its
-    own.
-    """
-    from mlbs_actors.layer.layer import Layer
-
-    config = Config()
-    height, width = 480, 640
-    cells = (height // 2, width // 2)
-    random = np.random.default_rng(0)
-    columns, rows = np.meshgrid(np.arange(140, 180, 8), np.arange(100, 140, 8))
-    count = columns.size  # of each layer's trajectories, which are at the same places
-    positions = np.tile(np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float32), (2, 1))
-    motions = random.normal(size=positions.shape).astype(np.float32)  # so that there is a field to solve
-    kinds: tuple[LayerKind, ...] = ("background", "object")
-    for layer, kind in enumerate(kinds):
-        part = Layer(config, layer, kind)
-        previous = None
-        for t in range(2):
-            evidence = FrameEvidence(
-                frame_index=t,
-                shape=(height, width),
-                camera=np.eye(3),
-                flow=np.zeros((*cells, 2), np.float32),
-                flow_reliable=np.ones(cells, bool),
-                unexplained=np.full(cells, 255, np.uint8),
-                colours=random.integers(0, 256, (*cells, 3), dtype=np.uint8),
-                tracks=tuple(
-                    LayerTracks(one, kinds[one], t - 1, one * count, (one + 1) * count) for one in range(2)
-                ),
-                positions=positions,
-                motions=motions,
-                retired=(),
-                latency_frames=0,
-            )
-            part.step(readonly(evidence), previous)
-            segmentation = Segmentation(
-                frame_index=t,
-                labels=np.full((height, width), layer, np.uint16),
-                normaliser=np.zeros(cells, np.uint8),
-                fallback=np.zeros(cells, np.int8),
-                layers=(),
-                camera_motion=(0.0, 0.0),
-                latency_frames=0,
-            )
-            previous = readonly(segmentation)
-
-
-def warm_stream() -> None:
-    """Label a small scene with objects, then trigger the kernels that a scene uses only by chance.
+def warm_coordinator() -> None:
+    """Track and cluster a small scene with two objects, then trigger what a scene needs only by chance.
 
     Otherwise the kernels for objects would be loaded at a stream's first birth: a quarter of a second.
     """
-    _label_small_scene()
-    _cut_images()
-    _find_contact_shadow()
+    from mlbs_actors.coordinator import Coordinator
 
-
-def _warm_layer_and_cut() -> None:
-    warm_layer()
-    _cut_images()
-    _find_contact_shadow()
-
-
-def _label_small_scene() -> None:
-    from mlbs_actors.subtractor import MultilayerSubtractor
-
-    subtractor = MultilayerSubtractor()
-    with _held_back(logging.getLogger(MultilayerSubtractor.__module__)):  # it would advise to do this
-        for frame in _small_scene():
-            subtractor.apply(frame)
+    coordinator = Coordinator(Config())
+    labelled: dict[int, Segmentation] = {}
+    for t, frame in enumerate(_small_scene()):
+        wanted = coordinator.feedback_index(t)
+        feedback = None if wanted is None else partial(labelled.__getitem__, wanted)
+        for evidence in coordinator.step(t, frame, feedback):
+            labelled[evidence.frame_index] = _labelled_by_tracks(evidence)
     _focus_on_crowd()
     _change_light()
 
 
-@contextmanager
-def _held_back(log: logging.Logger) -> Iterator[None]:
-    """Drop what this thread logs there; what others log, and what is logged later, is nothing to us."""
-    ours = threading.get_ident()
+def warm_layer() -> None:
+    """Run a layer of either kind over frames of the small scene."""
+    for _, posteriors in _layers_at_work():
+        assert posteriors
 
-    def from_elsewhere(record: logging.LogRecord) -> bool:
-        return record.thread != ours
 
-    log.addFilter(from_elsewhere)
-    try:
-        yield
-    finally:
-        log.removeFilter(from_elsewhere)
+def warm_segmenter() -> None:
+    """Label frames of the small scene with its layers, then trigger what a scene needs only by chance."""
+    from mlbs_actors.segmentation.segmenter import Segmenter
+
+    segmenter = Segmenter(_LAYERS)
+    for (evidence, posteriors), frame in zip(_layers_at_work(), _small_scene(), strict=True):
+        segmenter.step(evidence, frame, posteriors)
+    _cut_images()
+    _find_contact_shadow()
+
+
+def _layers_at_work() -> Iterator[tuple[FrameEvidence, list[LayerPosterior]]]:
+    """Yield the small scene's evidence as it is, and the posteriors of its layers."""
+    from mlbs_actors.layer.layer import Layer
+
+    layers: dict[int, Layer] = {}
+    previous = None
+    for t, frame in enumerate(_small_scene()):
+        evidence = _true_evidence(t, frame)
+        for one in evidence.tracks:
+            layers.setdefault(one.layer, Layer(_LAYERS, one.layer, one.kind))
+        yield evidence, [readonly(layer.step(evidence, previous)) for layer in layers.values()]
+        previous = _labelled_by_tracks(evidence)
+
+
+def _true_evidence(t: int, frame: Array) -> FrameEvidence:
+    """Return what the coordinator would find in a frame of the small scene.
+
+    The arrays are read-only, like those of real frames: for Numba that is another type, with kernels of its
+    own.
+    """
+    cells = (_SHAPE[0] // _CELL, _SHAPE[1] // _CELL)
+    moving = np.zeros((*cells, 2), np.float32)
+    moving[..., 0] = _GROUND_MOTION
+    owner = np.zeros(cells, int)
+    for layer, (left, top, motion) in enumerate(_SQUARES, start=1):
+        box = np.array([top, top + _SIDE, left + motion * t, left + motion * t + _SIDE]) // _CELL
+        inside = np.s_[box[0] : box[1], box[2] : box[3]]
+        moving[inside], owner[inside] = (motion, 0), layer
+    rows, columns = (part.ravel() for part in np.mgrid[2 : cells[0] : 4, 2 : cells[1] : 4])
+    order = np.argsort(owner[rows, columns], kind="stable")
+    rows, columns = rows[order], columns[order]
+    ends = np.cumsum(np.bincount(owner[rows, columns], minlength=1 + len(_SQUARES))).tolist()
+    kinds: tuple[LayerKind, ...] = ("background", "object", "object")
+    camera = np.eye(3)
+    camera[0, 2] = -_GROUND_MOTION
+    return readonly(
+        FrameEvidence(
+            frame_index=t,
+            shape=_SHAPE,
+            camera=camera,
+            flow=-moving,
+            flow_reliable=np.ones(cells, bool),
+            unexplained=np.where(owner > 0, 255, 0).astype(np.uint8),
+            colours=cv2.resize(frame, cells[::-1], interpolation=cv2.INTER_AREA),
+            tracks=tuple(
+                LayerTracks(layer, kind, t - 1, start, end)
+                for layer, (kind, start, end) in enumerate(zip(kinds, [0, *ends], ends, strict=False))
+            ),
+            positions=np.stack([columns, rows], axis=1).astype(np.float32) * _CELL,
+            motions=moving[rows, columns],
+            retired=(),
+            latency_frames=0,
+        )
+    )
+
+
+def _labelled_by_tracks(evidence: FrameEvidence) -> Segmentation:
+    """Return a frame's label map in which the box of an object's trajectories is the object."""
+    labels = np.zeros(evidence.shape, np.uint16)
+    for one in evidence.tracks:
+        if one.kind == "object" and one.end > one.start:
+            x, y, width, height = cv2.boundingRect(evidence.positions[one.start : one.end])
+            labels[max(y, 0) : y + height, max(x, 0) : x + width] = one.layer
+    return readonly(
+        Segmentation(
+            frame_index=evidence.frame_index,
+            labels=labels,
+            normaliser=np.zeros(evidence.flow_reliable.shape, np.uint8),
+            fallback=np.zeros(evidence.flow_reliable.shape, np.int8),
+            layers=(),
+            camera_motion=(0.0, 0.0),
+            latency_frames=0,
+        )
+    )
 
 
 def _small_scene(frames: int = 7) -> Iterator[Array]:
@@ -140,16 +175,19 @@ def _small_scene(frames: int = 7) -> Iterator[Array]:
     One has a shadow under it.
     """
     random = np.random.default_rng(0)
-    ground, first, second = (
+    height, width = _SHAPE
+    ground, *squares = (
         cv2.GaussianBlur(random.integers(0, 256, shape, dtype=np.uint8), (0, 0), 1.5)
-        for shape in ((160, 340, 3), (70, 70, 3), (70, 70, 3))
+        for shape in ((height, width + 20, 3), (_SIDE, _SIDE, 3), (_SIDE, _SIDE, 3))
     )
-    first[58:] = 9
+    squares[0][58:] = 9
     for t in range(frames):
-        frame = ground[:, 2 * t : 2 * t + 320].copy()
-        frame[20:90, 20 + 5 * t : 90 + 5 * t] = first
-        frame[70:140, 150 - 4 * t : 220 - 4 * t] = second
-        yield _read_only(frame)
+        shift = -_GROUND_MOTION * t
+        frame = ground[:, shift : shift + width].copy()
+        for square, (left, top, motion) in zip(squares, _SQUARES, strict=True):
+            frame[top : top + _SIDE, left + motion * t : left + motion * t + _SIDE] = square
+        frame.setflags(write=False)
+        yield frame
 
 
 def _cut_images() -> None:
@@ -206,11 +244,6 @@ def _change_light() -> None:
 
     before = np.arange(600, dtype=np.uint8).reshape(-1, 3)
     light_change(before, before // 2 + 40)
-
-
-def _read_only(array: Array) -> Array:
-    array.setflags(write=False)
-    return array
 
 
 if __name__ == "__main__":

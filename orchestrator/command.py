@@ -9,7 +9,7 @@ from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.command_line import parse
 from orchestrator.interruption import StopAtOnce
 from orchestrator.log import Log
-from orchestrator.ray_session import ray_settings
+from orchestrator.ray_session import ray_settings, starting_ray
 from orchestrator.run.argument_streams import argument_streams
 from orchestrator.run.stream_list import ListedStream, missing_sources, read_stream_list
 from orchestrator.sources.address import SourceKind
@@ -49,11 +49,14 @@ def run_command(argv: Sequence[str]) -> int:
             )
         config = load_config(arguments.config, arguments.overrides)
         missing = missing_sources(arguments.streams, streams)
-        with ray_settings(arguments.address) as scratch:
+        with (
+            ray_settings(arguments.address) as scratch,
+            starting_ray(arguments.address, scratch, arguments.ray_metrics) as head,
+        ):
             # Imported here, because it imports Ray, which reads its settings then.
             from orchestrator.run.run import run
 
-            return run(arguments, streams, missing, config, scratch, log)
+            return run(arguments, streams, missing, config, scratch, head, log)
     except ConfigError as error:
         log.say(str(error), "error")
         return 2

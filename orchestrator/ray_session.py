@@ -25,9 +25,9 @@ from pathlib import Path
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.early_signals import exit_if_signalled
 from orchestrator.module_path import PACKAGE_ROOT
-from orchestrator.ray_head import ray_head
+from orchestrator.ray_head import RayHead, ray_head
 
-__all__ = ["ray_session", "ray_settings"]
+__all__ = ["joined_ray", "ray_session", "ray_settings", "starting_ray"]
 
 #: Object store for frames, label maps and posteriors, a few of each stream, bytes.
 _OBJECT_STORE_BYTES = 2 * 2**30
@@ -152,40 +152,79 @@ def _remove_abandoned() -> None:
 
 @contextmanager
 def ray_session(address: str | None, scratch: Path, metrics_port: int | None = None) -> Iterator[None]:
-    """Keep a Ray session while the ``with`` block runs; end what it has started, and nothing else.
+    """Keep a Ray session while the ``with`` block runs: :func:`starting_ray` and :func:`joined_ray`."""
+    with starting_ray(address, scratch, metrics_port) as head, joined_ray(address, head):
+        yield
+
+
+@contextmanager
+def starting_ray(
+    address: str | None, scratch: Path, metrics_port: int | None = None
+) -> Iterator[RayHead | None]:
+    """Run Ray on this machine while the ``with`` block runs; it starts in parallel with it.
 
     Parameters
     ----------
     address : str, optional
-        Cluster to join, ``HOST:PORT`` or ``auto``; None for a session of our own.
+        Of a cluster to join, ``HOST:PORT`` or ``auto``: then nothing is started.
     scratch : Path
         From :func:`ray_settings`.
     metrics_port : int, optional
-        Of this machine, where our own session exports its metrics to Prometheus.
+        Of this machine, where Ray exports its metrics to Prometheus.
+
+    Yields
+    ------
+    RayHead or None
+        For :func:`joined_ray`.
 
     Raises
     ------
     ConfigError
-        If the cluster cannot be joined, or metrics cannot be exported.
+        If metrics cannot be exported.
+    """
+    if address is not None:
+        yield None
+        return
+    if metrics_port is not None:
+        _refuse_unexportable(metrics_port)
+    options = {
+        "logging_level": logging.ERROR,
+        "object_store_memory": _object_store_bytes(),
+        "_temp_dir": str(scratch),
+        "_metrics_export_port": metrics_port,
+    }
+    exit_if_signalled()
+    with ray_head(scratch, options) as head:
+        yield head
+
+
+@contextmanager
+def joined_ray(address: str | None, head: RayHead | None) -> Iterator[None]:
+    """Take part in a Ray session while the ``with`` block runs; then our own begins to end.
+
+    Parameters
+    ----------
+    address : str, optional
+        As for :func:`starting_ray`.
+    head : RayHead, optional
+        From there.
+
+    Raises
+    ------
+    ConfigError
+        If the cluster cannot be joined.
     MlbsError
         If Ray does not start.
     """
     import ray
 
-    if metrics_port is not None:
-        _refuse_unexportable(metrics_port)
     with ExitStack() as session:
         try:
-            if address is None:
-                options = {
-                    "logging_level": logging.ERROR,
-                    "object_store_memory": _object_store_bytes(),
-                    "_temp_dir": str(scratch),
-                    "_metrics_export_port": metrics_port,
-                }
-                exit_if_signalled()
-                joined = session.enter_context(ray_head(scratch, options))
+            if head is not None:
+                joined = head.address()
+                session.callback(head.begin_to_end)
             else:
+                assert address is not None
                 _refuse_unreachable(address)
                 joined = address
             exit_if_signalled()

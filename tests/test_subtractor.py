@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
-from mlbs_actors import Config, ConfigError, FrameError, MlbsError, MultilayerSubtractor, Result, warm_up
+from mlbs_actors import Config, ConfigError, FrameError, MlbsError, MultilayerSubtractor, Result
 from mlbs_actors.inspection import FrameInspection
 from mlbs_actors.messages import Array
 from mlbs_actors.subtractor import _say_if_it_compiles
@@ -128,20 +128,6 @@ def test_the_first_use_says_that_it_compiles(
     _say_if_it_compiles.cache_clear()
     MultilayerSubtractor().apply(np.zeros((96, 128, 3), np.uint8))
     assert ("compiles for one to three minutes" in caplog.text) != compiled
-
-
-def test_warming_up_does_not_advise_to_warm_up_and_hides_nothing_that_is_said_later(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr("mlbs_actors.subtractor.has_machine_code", lambda: False)
-    monkeypatch.setattr(warm_up, "_small_scene", lambda: [np.zeros((96, 128, 3), np.uint8)])
-    monkeypatch.setattr(warm_up, "_focus_on_crowd", lambda: None)
-    _say_if_it_compiles.cache_clear()
-    warm_up._label_small_scene()
-    assert caplog.text == ""
-    _say_if_it_compiles.cache_clear()
-    MultilayerSubtractor().apply(np.zeros((96, 128, 3), np.uint8))
-    assert "compiles for one to three minutes" in caplog.text
 
 
 def test_something_else_than_a_configuration_is_refused() -> None:

@@ -8,14 +8,15 @@ from __future__ import annotations
 import os
 import tempfile
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
 from filelock import FileLock, Timeout
 
 from mlbs_actors.config import Config
+from mlbs_actors.kernels.machine_code import machine_code_folder
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
@@ -103,11 +104,14 @@ class PartFactory(Protocol):
     def segmenter(self, config: Config) -> SegmenterPart:
         """Make a stream's segmenter."""
 
-    def warm_layer(self) -> None:
-        """Do in advance what would delay the first frame of a layer."""
+    def warm_coordinator(self) -> None:
+        """Do in advance what would delay a stream's first frames in its coordinator."""
 
-    def warm_stream(self) -> None:
-        """Do in advance what would delay a stream's start."""
+    def warm_segmenter(self) -> None:
+        """Do so in its segmenter, where layers are born."""
+
+    def warm_layer(self) -> None:
+        """Do in advance what would delay the first frame of a layer in a process of its own."""
 
 
 class EngineParts:
@@ -131,42 +135,44 @@ class EngineParts:
 
         return Segmenter(config)
 
-    def warm_layer(self) -> None:
-        """See :func:`mlbs_actors.warm_up.warm_layer`.
+    def warm_coordinator(self) -> None:
+        """See :func:`mlbs_actors.warm_up.warm_coordinator`."""
+        from mlbs_actors.warm_up import warm_coordinator
 
-        Processes of one machine do it one at a time: the first ever compiles and leaves its kernels on disk;
-        all others would compile the same.
-        """
+        _warm(warm_coordinator)
+
+    def warm_segmenter(self) -> None:
+        """See :func:`mlbs_actors.warm_up.warm_segmenter`."""
+        from mlbs_actors.warm_up import warm_segmenter
+
+        _warm(warm_segmenter)
+
+    def warm_layer(self) -> None:
+        """See :func:`mlbs_actors.warm_up.warm_layer`."""
         from mlbs_actors.warm_up import warm_layer
 
-        with _one_at_a_time("layer"):
-            warm_layer()
-
-    def warm_stream(self) -> None:
-        """See :func:`mlbs_actors.warm_up.warm_stream`; one at a time, too.
-
-        On the first run a layer process compiles the layer's kernels meanwhile.
-        """
-        from mlbs_actors.warm_up import warm_stream
-
-        with _one_at_a_time("stream"):
-            warm_stream()
+        _warm(warm_layer)
 
 
-@contextmanager
-def _one_at_a_time(warmed: str) -> Iterator[None]:
-    """Wait for this user's other processes of this installation that compile the same kernels.
+def _warm(warm: Callable[[], None]) -> None:
+    """Warm a process; of those that have something to compile, one after the other.
 
-    If the lock fails, only time is lost. Low-priority processes have a lock of their own, so that others
-    never wait for them.
+    The first one leaves its machine code on disk; all others would compile the same. If the lock fails, only
+    time is lost. Low-priority processes have a lock of their own, so that others never wait for them.
     """
+    done = machine_code_folder() / f"{warm.__name__}.done"
+    if done.exists():
+        warm()
+        return
     rank = "-idle" if os.sched_getscheduler(0) == os.SCHED_IDLE else ""
     installation = zlib.crc32(str(Path(__file__).resolve()).encode())
-    name = f"mlbs-actors-kernels-{os.getuid()}-{installation:08x}-{warmed}{rank}.lock"
+    name = f"mlbs-actors-kernels-{os.getuid()}-{installation:08x}-{warm.__name__}{rank}.lock"
     lock = FileLock(Path(tempfile.gettempdir()) / name)
     with suppress(OSError, Timeout):
         lock.acquire(timeout=COMPILE_SECONDS)
     try:
-        yield
+        warm()
+        with suppress(OSError):
+            done.touch()
     finally:
         lock.release()

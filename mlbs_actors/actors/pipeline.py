@@ -184,7 +184,8 @@ class Node:
 
     def _start_standby(self, *, awaited: bool) -> _Standby:
         kind = _STANDBY[len(self._standby)]
-        return _Standby(spawn_standby(kind, self._parts.warm_stream, awaited=awaited, node=self._node))
+        warm = self._parts.warm_coordinator if kind is CoordinatorActor else self._parts.warm_segmenter
+        return _Standby(spawn_standby(kind, warm, awaited=awaited, node=self._node))
 
     def repair(self) -> None:
         """Replace the pool and the sinks if they are lost; their streams must be started again."""

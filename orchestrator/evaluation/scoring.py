@@ -12,10 +12,10 @@ from typing import NamedTuple
 import cv2
 
 from mlbs_actors import MultilayerSubtractor
-from mlbs_actors.actors.parts import EngineParts
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import FrameError, MlbsError, SinkError
 from mlbs_actors.messages import Array
+from mlbs_actors.warm_up import warm_coordinator, warm_segmenter
 from orchestrator.evaluation import datasets, sequences
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, extra_layer_sheet, spread_evenly
 from orchestrator.evaluation.labelling import EngineLabelling, ResizingSubtractor, Subtractor
@@ -176,7 +176,8 @@ def scored_masks(score: SequenceScore, scores: Mapping[int, Mapping[int, float]]
 
 def warm_engine() -> None:
     """Compile or load the engine's kernels in this process, so that no frame's time includes it."""
-    EngineParts().warm_stream()
+    warm_coordinator()
+    warm_segmenter()
 
 
 def engine_result(

@@ -29,7 +29,8 @@ from orchestrator.monitor.ray_metrics import RayMetrics
 from orchestrator.monitor.server import serving
 from orchestrator.program import command_line_of
 from orchestrator.progress import progress_for
-from orchestrator.ray_session import ray_session
+from orchestrator.ray_head import RayHead
+from orchestrator.ray_session import joined_ray
 from orchestrator.report.page import render_report
 from orchestrator.run.admission import (
     PLACE_BYTES,
@@ -74,6 +75,7 @@ def run(
     missing: Mapping[str, str],
     config: Config,
     scratch: Path,
+    head: RayHead | None,
     log: Log,
 ) -> int:
     """Segment all streams; return the exit status.
@@ -89,6 +91,8 @@ def run(
         The parameters according to ``arguments``.
     scratch : Path
         Folder for Ray's files, from :func:`orchestrator.ray_session.ray_settings`.
+    head : RayHead, optional
+        Of a Ray of our own, from :func:`orchestrator.ray_session.starting_ray`.
     log : Log
         Receives messages and progress.
 
@@ -158,7 +162,7 @@ def run(
             monitored = _monitored(arguments.monitor, live, folder.path, deliveries, log)
             onlookers = session.enter_context(monitored)
             _announce(due, arguments, memory, contents, log)
-            session.enter_context(ray_session(arguments.address, scratch, arguments.ray_metrics))
+            session.enter_context(joined_ray(arguments.address, head))
         if at_work and arguments.ray_metrics is not None:
             onlookers.append(RayMetrics(deliveries.backlogs))
             if arguments.address is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from mlbs_actors.messages import BACKGROUND, Array, LayerAppearance
 
@@ -43,7 +43,9 @@ def background_plate(appearance: LayerAppearance, image: Array, labels: Array) -
     colours[behind] = appearance.colours[behind[appearance.region.slices]]
     known = remembered | (labels == BACKGROUND)
     if known.any() and not known.all():
-        rows, columns = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+        rows, columns = scipy.ndimage.distance_transform_edt(
+            ~known, return_distances=False, return_indices=True
+        )
         colours = colours[rows, columns]
     plate: Array = cv2.merge([*cv2.split(colours), np.where(known, np.uint8(255), np.uint8(0))])
     return plate

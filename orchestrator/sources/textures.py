@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import fft, ndimage
+import scipy
 
 from mlbs_actors.messages import Array
 
@@ -16,11 +16,11 @@ PATCH_TONES = 5
 
 def grain(rng: np.random.Generator, shape: tuple[int, int], wavelength: float) -> Array:
     """Make Gaussian noise without waves much shorter than ``wavelength`` px; tiling, mean 0, deviation 1."""
-    spectrum = fft.rfft2(rng.standard_normal(shape, dtype=np.float32))
-    frequency = np.hypot(fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None, :])
+    spectrum = scipy.fft.rfft2(rng.standard_normal(shape, dtype=np.float32))
+    frequency = np.hypot(scipy.fft.fftfreq(shape[0])[:, None], scipy.fft.rfftfreq(shape[1])[None, :])
     spectrum *= np.exp(-((frequency * wavelength) ** 2)).astype(np.float32)
     spectrum[0, 0] = 0.0
-    noise: Array = fft.irfft2(spectrum, s=shape)
+    noise: Array = scipy.fft.irfft2(spectrum, s=shape)
     noise /= noise.std()
     return noise
 
@@ -54,7 +54,7 @@ def patchwork(
     tones = np.asarray(colour) + rng.uniform(-contrast, contrast, (PATCH_TONES, 1))
     tones += rng.uniform(-0.3, 0.3, (PATCH_TONES, 3)) * contrast
     texture = tones.astype(np.float32)[np.argmax(fields, axis=0)]
-    texture = ndimage.gaussian_filter(texture, (0.7, 0.7, 0), mode="wrap", truncate=3.0)
+    texture = scipy.ndimage.gaussian_filter(texture, (0.7, 0.7, 0), mode="wrap", truncate=3.0)
     shading = 12 * grain(rng, shape, DETAIL_WAVELENGTH * unit)
     shading += 8 * grain(rng, shape, GRAIN_WAVELENGTH)
     texture += shading[:, :, None]

@@ -320,7 +320,10 @@ class FakeParts:
     def let_start(self) -> None:
         (self.folder / "let-start").touch()
 
-    def warm_stream(self) -> None:
+    def warm_coordinator(self) -> None:
+        self._note()
+
+    def warm_segmenter(self) -> None:
         self._note()
 
     def processes(self) -> set[int]:

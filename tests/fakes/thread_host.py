@@ -49,7 +49,7 @@ _TO_ITS_PROCESS: Mapping[str, Callable[..., Any]] = {
     "limit_process": lambda: None,
     "relax_thread_timers": lambda: None,
     "settle_memory": lambda: None,
-    "stepping_back": lambda *, awaited: nullcontext(),
+    "stepping_back": nullcontext,
     "unique_memory": lambda process: 0,
 }
 _WITH_PROCESSES: Sequence[ModuleType] = (

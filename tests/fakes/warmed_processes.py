@@ -1,14 +1,16 @@
 """Run by a test in a process of its own: which kernels are still compiled or loaded after a warming.
 
-The first argument says what is warmed, and does the work of scenes then: "stream", which is a coordinator and
-a segmenter with layers that have no process yet, or "layer", which takes what the former has told its layers
-from the file that the second argument names.
+The first argument is "record", which labels scenes and leaves the label maps in the file that the second one
+names, or what is warmed and then does its part of the same work: "coordinator", "segmenter", whose layers are
+all in its process, or "layer".
 """
 
 from __future__ import annotations
 
 import pickle
 import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,7 @@ from numba.core.dispatcher import Dispatcher
 
 from mlbs_actors import Config
 from mlbs_actors.actors.parts import EngineParts, LayerPart
-from mlbs_actors.messages import FrameEvidence, Segmentation
+from mlbs_actors.messages import Array, FrameEvidence, LayerPosterior, Segmentation
 from orchestrator.sources.synthetic import scene
 
 #: Scenes, their frames and height: several objects from the start, a crowd, and one that enters late.
@@ -47,10 +49,10 @@ class Layers:
         self._parts: dict[int, LayerPart] = {}
         self.most = 0
 
-    def step(self, evidence: FrameEvidence, previous: Segmentation | None) -> list[object]:
+    def step(self, evidence: FrameEvidence, previous: Segmentation | None) -> list[LayerPosterior]:
         for layer in evidence.retired:
             self._parts.pop(layer, None)
-        answers: list[object] = []
+        answers = []
         for own in evidence.tracks:
             part = self._parts.setdefault(own.layer, EngineParts().layer(Config(), own.layer, own.kind))
             answers.append(_arrived(part.step(evidence, previous)))
@@ -58,41 +60,60 @@ class Layers:
         return answers
 
 
-def play(name: str, frames: int, height: int) -> list[tuple[FrameEvidence, Segmentation | None]]:
-    """Label a scene; return what its layers were told, frame by frame."""
-    parts, layers = EngineParts(), Layers()
-    coordinator, segmenter = parts.coordinator(Config()), parts.segmenter(Config())
-    results: list[Segmentation] = []
-    told: list[tuple[FrameEvidence, Segmentation | None]] = []
+@dataclass
+class Recorded:
+    """A scene's messages."""
+
+    evidence: list[FrameEvidence] = field(default_factory=list)
+    labelled: list[Segmentation] = field(default_factory=list)
+
+
+def frames_of(name: str, frames: int, height: int) -> list[Array]:
     length = 120 if name == "traffic" else frames
     video = scene(name, frames=length, seed=1, width=height * 4 // 3, height=height)
-    for t in range(frames):
+    return [_arrived(video.frame(t)) for t in range(frames)]
+
+
+def evidence_of(frames: list[Array], labelled: list[Segmentation]) -> Iterator[FrameEvidence]:
+    """Do the coordinator's work; the label maps may be made meanwhile."""
+    coordinator = EngineParts().coordinator(Config())
+    for t, frame in enumerate(frames):
         wanted = coordinator.feedback_index(t)
-        feedback = None if wanted is None else partial(results.__getitem__, wanted)
-        for evidence in map(_arrived, coordinator.step(t, _arrived(video.frame(t)), feedback)):
-            frame = _arrived(video.frame(evidence.frame_index))
-            told.append((evidence, results[-1] if results else None))
-            answers = layers.step(*told[-1])
-            results.append(_arrived(segmenter.step(evidence, frame, answers)))  # type: ignore[arg-type]
+        feedback = None if wanted is None else partial(labelled.__getitem__, wanted)
+        yield from map(_arrived, coordinator.step(t, frame, feedback))
+
+
+def record(name: str, frames: int, height: int) -> Recorded:
+    recorded, layers, segmenter = Recorded(), Layers(), EngineParts().segmenter(Config())
+    pictures = frames_of(name, frames, height)
+    for evidence in evidence_of(pictures, recorded.labelled):
+        recorded.evidence.append(evidence)
+        answers = layers.step(evidence, recorded.labelled[-1] if recorded.labelled else None)
+        recorded.labelled.append(_arrived(segmenter.step(evidence, pictures[evidence.frame_index], answers)))
     assert layers.most > (1 if name == "traffic" else 3), "so few layers prove little"
-    return told
+    return recorded
 
 
-def main(warmed: str, messages: Path) -> None:
-    parts = EngineParts()
-    if warmed == "layer":
-        parts.warm_layer()
-    else:
-        parts.warm_stream()
+def replay(part: str, recorded: Recorded, frames: list[Array]) -> None:
+    if part == "coordinator":
+        assert len(list(evidence_of(frames, recorded.labelled))) == len(recorded.evidence)
+        return
+    layers, segmenter = Layers(), EngineParts().segmenter(Config())
+    for evidence, previous in zip(recorded.evidence, [None, *recorded.labelled], strict=False):
+        answers = layers.step(_arrived(evidence), _arrived(previous))
+        if part == "segmenter":
+            segmenter.step(_arrived(evidence), frames[evidence.frame_index], answers)
+
+
+def main(part: str, messages: Path) -> None:
+    if part == "record":
+        messages.write_bytes(pickle.dumps([record(*one) for one in SCENES], protocol=5))
+        return
+    getattr(EngineParts(), f"warm_{part}")()
     before = compiled()
     assert before, "nothing was warmed"
-    if warmed == "layer":
-        for told in pickle.loads(messages.read_bytes()):
-            layers = Layers()
-            for one in told:
-                layers.step(*map(_arrived, one))
-    else:
-        messages.write_bytes(pickle.dumps([play(*one) for one in SCENES], protocol=5))
+    for recorded, one in zip(pickle.loads(messages.read_bytes()), SCENES, strict=True):
+        replay(part, recorded, frames_of(*one))
     print("later:", compiled() - before)
 
 

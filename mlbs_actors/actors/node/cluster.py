@@ -21,7 +21,6 @@ from threading import Lock
 from typing import Any
 
 import ray
-from ray.autoscaler.sdk import request_resources
 from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.node.failures import cause_of, last_line
@@ -242,6 +241,8 @@ class Cluster:
     def _demand(self, streams: int) -> None:
         """Tell Ray's autoscaler how many streams there should be room for; it remembers that."""
         if streams != self._demanded:
+            from ray.autoscaler.sdk import request_resources  # slow to import, for clusters only
+
             self._demanded = streams
             # By whole CPUs: Ray takes whole numbers only.
             a_cpu = {"CPU": 1, "memory": round(self._share.memory / self._share.cpus)}

@@ -1,9 +1,8 @@
-"""The node's layer processes: kept warm, acquired by streams, released, ended when too many are idle.
+"""The node's layer processes: started when a layer asks for one, released, kept for the next layers.
 
-The pool creates every layer process of its node, so all end with it. Its processes have already imported and
-compiled everything. If frames wait for a process and none is ready, one is started for them; all others are
-started one after the other, beside the frames. None is started that would not fit into the node's memory: a
-layer works as well in its segmenter's process.
+The pool creates every layer process of its node, so all end with it. A layer works as well in its
+segmenter's process, so no frame waits for one: they are started at low priority beside the frames, for each
+stream one after the other, and none that would not fit into the node's memory.
 """
 
 from __future__ import annotations
@@ -34,22 +33,16 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class PoolPolicy:
-    """How many processes are kept idle.
+    """How many processes are kept idle, and how long the pool waits.
 
     Attributes
     ----------
     spare : int
-        Idle processes that are ready when a stream begins, and kept afterwards; one takes about 110 MB.
-    least : int
-        With fewer idle ones another is started beside the frames, one after the other: each takes a second of
-        CPU time.
-    refill_seconds : float
-        How long after a birth a spare process is started in its place, s: where objects enter, others leave,
-        and the processes of those come back.
+        Idle processes that are kept for layers born later; one takes about 110 MB.
     idle_seconds : float
-        Idle processes beyond these are ended once they were idle for this long, s.
+        Those beyond are ended once they were idle for this long, s.
     start_seconds : float
-        An awaited process that takes longer to start is taken to hang, and replaced, s.
+        A process that takes longer to start is taken to hang, and replaced, s.
     release_seconds : float
         Timeout for a layer's process to leave a stream that has ended, after which it is ended too, s.
     short_seconds : float
@@ -61,8 +54,6 @@ class PoolPolicy:
     """
 
     spare: int = 4
-    least: int = 2
-    refill_seconds: float = 0.25
     idle_seconds: float = 10.0
     start_seconds: float = 180.0
     release_seconds: float = 3.0
@@ -92,7 +83,6 @@ class _Process:
     handle: Handle
     ready: asyncio.Future[int]  # its id
     since: float
-    awaited: bool = True
 
     @property
     def is_ready(self) -> bool:
@@ -103,15 +93,6 @@ class _Process:
     def memory(self) -> int:
         """Unique memory, bytes; 0 as long as it is starting."""
         return unique_memory(self.ready.result()) if self.is_ready and not self.ready.exception() else 0
-
-    @property
-    def soon(self) -> bool:
-        """Whether it is worth waiting for: on a busy machine the others take longer than a new one."""
-        return self.awaited or self.is_ready
-
-    def preference(self) -> tuple[bool, float]:
-        """Sort key: ready ones first, the last used of them, so that others age; else the first started."""
-        return (True, self.since) if self.is_ready else (False, -self.since)
 
 
 class PoolActor:
@@ -128,28 +109,21 @@ class PoolActor:
         self._idle: list[_Process] = []
         self._busy: dict[int, dict[str, _Process]] = {}  # by stream and process
         self._grown: set[int] = set()  # streams that have all they need but layer processes
-        self._closed = False
         self._news = asyncio.Event()  # an idle process is ready, or a stream has ended
 
     async def begin(self, run: int) -> int:
         """Register a new stream; return its number, which must be unused."""
         self._busy[run] = {}
-        self._refill()
         return run
 
-    async def acquire(
-        self, run: int, config: Config, *, awaited: bool
-    ) -> tuple[Handle, ChannelAddress] | None:
-        """Acquire a process for a layer of stream ``run`` as soon as one is ready.
+    async def acquire(self, run: int, config: Config) -> tuple[Handle, ChannelAddress] | None:
+        """Acquire a process for a layer of stream ``run``, as soon as one has started or is released.
 
         Parameters
         ----------
         run : int
         config : Config
             Of the stream.
-        awaited : bool
-            Whether frames wait for it: if none is ready, one is started for it. Else it may take as long as
-            needed.
 
         Returns
         -------
@@ -158,7 +132,7 @@ class PoolActor:
         ChannelAddress
             Of the channel for the layer and its steps.
         None
-            Instead, if memory is too short for another process: at once if it is awaited, else after a while.
+            Instead, if memory is too short for another process, and none is released for a while.
 
         Raises
         ------
@@ -169,11 +143,12 @@ class PoolActor:
         """
         asked = time.monotonic()
         self._grown.add(run)
+        started: _Process | None = None
         while run in self._busy:
-            process = self._soonest() if awaited else self._ready()
+            process = self._take_ready()
             if process is None:
-                starting = not awaited and self._start_beside_frames()
-                if not starting and (awaited or time.monotonic() - asked > self._policy.short_seconds):
+                started = self._start_unless(started)
+                if started is None and time.monotonic() - asked > self._policy.short_seconds:
                     return None
                 self._news.clear()
                 with suppress(asyncio.TimeoutError):
@@ -181,13 +156,8 @@ class PoolActor:
                 continue
             self._busy[run][identity(process.handle)] = process
             try:
-                await asyncio.wait_for(asyncio.shield(process.ready), self._policy.start_seconds)
-                address = None
-                if run in self._busy:  # else it may belong to another stream by now
-                    address = await process.handle.assign.remote(run, config)
-            except asyncio.TimeoutError:
-                self._busy.get(run, {}).pop(identity(process.handle), None)
-                kill(process.handle)
+                await process.ready
+                address = await process.handle.assign.remote(run, config)
             except LOST_PROCESS as error:
                 self._busy.get(run, {}).pop(identity(process.handle), None)
                 # An idle one may have died unnoticed: try the next. If one that was just started died,
@@ -197,9 +167,7 @@ class PoolActor:
                         f"No process could be started for a layer: {last_line(error)}."
                     ) from error
             else:
-                # Only now: if every start fails, refilling after each attempt would never end.
-                asyncio.get_running_loop().call_later(self._policy.refill_seconds, self._top_up)
-                if run in self._busy and address is not None:
+                if run in self._busy:  # else it has been released with the others
                     return process.handle, address
         raise LayerError("A layer was to be born in a stream that has ended; start the stream again.")
 
@@ -224,7 +192,6 @@ class PoolActor:
 
     async def close(self) -> None:
         """End every process, and wait until all are gone."""
-        self._closed = True
         every = [*self._in_use(), *self._idle]
         self._idle, self._busy = [], {}
         await asyncio.gather(*(_end(process.handle) for process in every))
@@ -250,22 +217,13 @@ class PoolActor:
         self._news.set()
         asyncio.get_running_loop().call_later(self._policy.idle_seconds, self._shrink)
 
-    def _soonest(self) -> _Process | None:
-        """Return the idle process that will be ready first, or a new one if it fits into memory."""
-        soon = [process for process in self._idle if process.soon]
-        soonest = max(soon, key=_Process.preference, default=None)
-        if soonest is None:
-            return self._start(awaited=True) if self._fits_another() else None
-        self._idle.remove(soonest)
-        return soonest
-
-    def _ready(self) -> _Process | None:
-        """Return an idle process that is ready."""
-        ready = max(self._idle, key=_Process.preference, default=None)
-        if ready is None or not ready.is_ready:
-            return None
-        self._idle.remove(ready)
-        return ready
+    def _take_ready(self) -> _Process | None:
+        """Take the idle process that was used last, so that the others age; None if none is ready."""
+        ready = [process for process in self._idle if process.is_ready]
+        last = max(ready, key=lambda process: process.since, default=None)
+        if last is not None:
+            self._idle.remove(last)
+        return last
 
     def _fits_another(self) -> bool:
         """Whether another process fits into memory even when these and all streams have grown."""
@@ -277,34 +235,25 @@ class PoolActor:
         to_come += STREAM_BYTES * max(self._policy.streams - len(self._grown), 0)
         return self._policy.memory().free >= to_come
 
-    def _start(self, *, awaited: bool) -> _Process:
-        handle = spawn(LayerActor, self._parts, awaited, node=self._node)
+    def _start_unless(self, started: _Process | None) -> _Process | None:
+        """Start a process, unless that one is still starting; None if none fits into memory."""
+        if started in self._idle:
+            if time.monotonic() - started.since < self._policy.start_seconds:
+                return started
+            self._idle.remove(started)
+            kill(started.handle)
+        if not self._fits_another():
+            return None
+        handle = spawn(LayerActor, self._parts, node=self._node)
         ready = asyncio.ensure_future(_answered(handle.process_id.remote()))
         ready.add_done_callback(lambda _: self._news.set())
-        return _Process(handle, ready, time.monotonic(), awaited)
-
-    def _refill(self) -> None:
-        while len(self._idle) < self._policy.spare and self._fits_another():
-            self._idle.append(self._start(awaited=True))
-
-    def _start_beside_frames(self) -> bool:
-        """Start a low-priority process, unless one is starting; return whether one is starting now."""
-        if not all(process.is_ready for process in self._idle):
-            return True
-        if not self._fits_another():
-            return False
-        self._idle.append(self._start(awaited=False))
-        return True
-
-    def _top_up(self) -> None:
-        """Start a process if too few are idle and none is starting, and check again after a while."""
-        if self._closed or len(self._idle) >= min(self._policy.least, self._policy.spare):
-            return
-        if self._start_beside_frames():
-            asyncio.get_running_loop().call_later(self._policy.refill_seconds, self._top_up)
+        process = _Process(handle, ready, time.monotonic())
+        self._idle.append(process)
+        return process
 
     def _shrink(self) -> None:
-        surplus = sorted(self._idle, key=lambda process: process.since)
+        ready = (process for process in self._idle if process.is_ready)
+        surplus = sorted(ready, key=lambda process: process.since)
         for process in surplus[: max(0, len(surplus) - self._policy.spare)]:
             if time.monotonic() - process.since >= self._policy.idle_seconds:
                 self._idle.remove(process)

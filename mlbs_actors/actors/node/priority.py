@@ -20,12 +20,12 @@ __all__ = ["stepping_back"]
 
 
 @contextmanager
-def stepping_back(*, awaited: bool) -> Iterator[None]:
+def stepping_back() -> Iterator[None]:
     """Run the calling thread only when no other wants to run, until the end of the ``with`` block.
 
-    Its priority is kept if somebody waits for its process, or if it could not be reverted.
+    Its priority is kept if it could not be reverted.
     """
-    if awaited or not _may_come_back():
+    if not _may_come_back():
         yield
         return
     before = os.sched_getscheduler(0)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 from ray.exceptions import GetTimeoutError, OutOfMemoryError, RayActorError
@@ -107,7 +107,7 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
 
     def prepare(self: object) -> None:
         relax_thread_timers()
-        with stepping_back(awaited=awaited):
+        with nullcontext() if awaited else stepping_back():
             warm()
         settle_memory()
 

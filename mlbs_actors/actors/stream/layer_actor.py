@@ -110,14 +110,12 @@ class LayerActor:
     Parameters
     ----------
     parts : PartFactory
-    awaited : bool
-        Whether somebody waits for the process.
     """
 
-    def __init__(self, parts: PartFactory, awaited: bool) -> None:
+    def __init__(self, parts: PartFactory) -> None:
         limit_process()
         relax_thread_timers()
-        with stepping_back(awaited=awaited):
+        with stepping_back():  # until then the layer is in the segmenter's process
             parts.warm_layer()
         settle_memory()
         self._parts = parts

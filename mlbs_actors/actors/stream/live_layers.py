@@ -15,10 +15,6 @@ from mlbs_actors.messages import FrameEvidence, LayerKind
 
 __all__ = ["LiveLayers"]
 
-#: Layers of a new stream that wait for a process at its first frame: no frame is under way yet, and the pool
-#: starts processes for them when the stream begins.
-_FIRST_LAYERS = 4
-
 
 @dataclass(slots=True)
 class _Living:
@@ -35,9 +31,9 @@ class LiveLayers:
     """The processes of the live layers by id, over births and retirements.
 
     A layer is born without a process, and lives in the segmenter's
-    (:mod:`mlbs_actors.actors.stream.segmenter_actor`) until the pool has one for it. So births never wait,
-    and where many are born at once their processes are started one after the other, beside the frames.
-    If the node's memory is too short for one, the layer stays there.
+    (:mod:`mlbs_actors.actors.stream.segmenter_actor`) until the pool has one for it. So neither a stream's
+    first frame nor a birth waits, and where many are born at once their processes are started one after the
+    other, beside the frames. If the node's memory is too short for one, the layer stays there.
 
     Parameters
     ----------
@@ -56,8 +52,8 @@ class LiveLayers:
         self._config = config
         self._stream = stream
         self._living: dict[int, _Living] = {}
-        self._asked: deque[Reference] = deque()  # processes, of any layer
-        self._begun = self._is_short = False
+        self._asked: Reference | None = None  # a process, for any layer
+        self._is_short = False
 
     def __len__(self) -> int:
         return len(self._living)
@@ -91,7 +87,6 @@ class LiveLayers:
     def restore(self, layers: Iterable[SavedLayer]) -> None:
         """Go back to a snapshot: to these layers, all without a process."""
         self._living = {own.layer: _Living(own.kind, own.last_frame) for own in layers}
-        self._begun = True
 
     def follow(self, evidence: FrameEvidence) -> tuple[tuple[int, ChannelAddress], ...]:
         """Release the processes of retired layers, and assign available ones to layers without.
@@ -123,16 +118,11 @@ class LiveLayers:
     def _assigned(self, evidence: FrameEvidence) -> Iterator[tuple[int, ChannelAddress]]:
         # Only layers live in this frame: their answer to it confirms that they have read their state.
         waiting = deque(own.layer for own in evidence.tracks if self._living[own.layer].process is None)
-        awaited = 0 if self._begun else min(len(waiting), _FIRST_LAYERS)
-        self._begun = True
-        while len(self._asked) < min(len(waiting), max(awaited, 1)):
-            self._asked.append(self._pool.acquire.remote(self._run, self._config, awaited=awaited > 0))
-        while self._asked and (awaited or is_answered(self._asked[0])):
-            answer = get(self._asked.popleft())
-            awaited = max(awaited - 1, 0)
+        if self._asked is not None and is_answered(self._asked):
+            answer, self._asked = get(self._asked), None
             self._is_short = answer is None
             if answer is None:  # asked again with the next frame
-                continue
+                return
             process, address = answer
             if waiting:
                 layer = waiting.popleft()
@@ -143,6 +133,8 @@ class LiveLayers:
                 yield layer, address
             else:  # the layer it was requested for has retired, or sleeps
                 self._release_process(process)
+        if waiting and self._asked is None:
+            self._asked = self._pool.acquire.remote(self._run, self._config)
 
     def _release(self, layer: int) -> None:
         process = self._living.pop(layer).process

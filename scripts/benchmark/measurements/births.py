@@ -15,7 +15,7 @@ from benchmark.result import MeasurementResult
 from benchmark.settings import Settings, report_progress
 from benchmark.through_ray.endless_video import open_video, write_video
 from benchmark.through_ray.pipeline import Arrival, pipeline
-from mlbs_actors.actors.parts import EngineParts
+from mlbs_actors.warm_up import warm_coordinator, warm_segmenter
 from orchestrator.evaluation.datasets import open_sequence
 from orchestrator.evaluation.figures import format_number, format_table
 
@@ -62,10 +62,11 @@ def measure_births(
     """Play each scene once, in this process and through Ray.
 
     Through Ray a frame's time is that between its label map and the one before, as they are made, and the
-    pool has its spare processes ready, as after some seconds of any run. In this process, as in those of Ray,
+    pool has spare processes, as after some seconds of any run. In this process, as in those of Ray,
     the kernels have been loaded before: loading them is not a cost of a birth.
     """
-    EngineParts().warm_stream()
+    warm_coordinator()
+    warm_segmenter()
     rows, figures, plots = [], {}, {}
     for number, name in enumerate(scenes):
         report_progress(f"births: {name} in this process ({number + 1} of {len(scenes)})")

@@ -138,8 +138,11 @@ class EmptyParts:
     def warm_layer(self) -> None:
         """Do nothing: there is nothing to compile."""
 
-    def warm_stream(self) -> None:
-        """Do nothing: there is nothing to import."""
+    def warm_coordinator(self) -> None:
+        """Do nothing: there is nothing to compile."""
+
+    def warm_segmenter(self) -> None:
+        """Do nothing: there is nothing to compile."""
 
 
 @dataclass

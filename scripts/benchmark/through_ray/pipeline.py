@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 from benchmark.through_ray.process_costs import Process, kinds_of, private_bytes, process_tree
 from benchmark.through_ray.recording_parts import SPARE, RecordingParts, RecordingSink
 from mlbs_actors import Config
-from mlbs_actors.actors import Node, PoolPolicy, StreamActors
+from mlbs_actors.actors import Node, StreamActors
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.stream.protocol import FrameReader, StreamProgress, StreamSink, StreamSpec
 from orchestrator.command_options import SAVED
@@ -120,6 +120,8 @@ class Pipeline:
     _streams: list[StreamActors] = field(default_factory=list)
     #: Bursts of frames in progress, with the number of their stream.
     _bursts: dict[Future[StreamProgress], int] = field(default_factory=dict)
+    #: Live layers of each stream after its last burst.
+    _layers: dict[int, int] = field(default_factory=dict)
 
     def start(
         self,
@@ -232,7 +234,8 @@ class Pipeline:
             read = {}
             for burst in ready:
                 number = self._bursts.pop(burst)
-                read[number] = burst.result().read
+                progress = burst.result()
+                read[number], self._layers[number] = progress.read, progress.layers
                 self._bursts[self._streams[number].advance()] = number
             if enough(read):
                 return
@@ -262,8 +265,8 @@ class Pipeline:
     def _settled(self) -> bool:
         census = self._node.census()
         started = self._layer_kinds().keys() & process_tree(os.getpid()).keys()
-        # With fewer idle ones the pool is about to start another.
-        return len(started) >= census.idle + census.busy and census.idle >= PoolPolicy().least
+        # With fewer than there are layers the pool is about to start another.
+        return len(started) >= census.idle + census.busy >= sum(self._layers.values())
 
     def _standby_is_ready(self) -> bool:
         """Return whether the standby processes of the next coordinator and segmenter are ready."""

@@ -62,9 +62,14 @@ class RecordingParts:
         self.parts.warm_layer()
         self._record_kind(SPARE)
 
-    def warm_stream(self) -> None:
+    def warm_coordinator(self) -> None:
         """See :class:`PartFactory`."""
-        self.parts.warm_stream()
+        self.parts.warm_coordinator()
+        (self.standby / str(os.getpid())).touch()
+
+    def warm_segmenter(self) -> None:
+        """See :class:`PartFactory`."""
+        self.parts.warm_segmenter()
         (self.standby / str(os.getpid())).touch()
 
     def _leave_standby(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from actor_fakes import (
     FakeReader,
     Memory,
     crowd,
-    on_ray,
     picture,
     rows,
     rows_in_one_process,
@@ -54,25 +52,16 @@ def test_released_processes_become_other_layers_and_idle_ones_beyond_the_spare_a
     wait_until(lambda: own_node.census() == PoolCensus(idle=1, busy=0))
 
 
-def test_the_pool_is_refilled_in_the_background(own_node: Node, tmp_path: Path) -> None:
-    stream = own_node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(500)], tmp_path)))
-    stream.advance().result(timeout=200)
-    wait_until(lambda: own_node.census() == PoolCensus(idle=1, busy=2))
+def test_each_layer_gets_a_process_beside_the_frames(own_node: Node, tmp_path: Path) -> None:
+    stream = own_node.start(spec("two", FakeReader([picture(t, live=[1]) for t in range(5000)], tmp_path)))
+
+    def have_processes() -> bool:
+        stream.advance().result(timeout=200)
+        return own_node.census() == PoolCensus(idle=0, busy=2)
+
+    wait_until(have_processes)
     stream.stop(drain=False)
     assert own_node.census().busy == 0
-
-
-def test_a_birth_starts_a_process_only_where_few_are_left(host: str, parts: FakeParts) -> None:
-    policy = PoolPolicy(spare=3, least=2, refill_seconds=0.05)
-    pool = spawn(PoolActor, parts, policy, node=here())
-    run = get(pool.begin.remote(1))
-    for left in (2, 2):
-        get(pool.acquire.remote(run, CONFIG, awaited=True))
-        wait_until(lambda left=left: get(pool.census.remote()).idle == left)  # type: ignore[misc]
-    time.sleep(1.0)
-    assert get(pool.census.remote()) == PoolCensus(idle=2, busy=2)
-    wait_until(lambda: len(parts.processes()) == 4)  # three at first, one more at the second birth
-    end([pool])
 
 
 def has_died(actor: Handle) -> bool:
@@ -88,26 +77,26 @@ def test_a_birth_takes_another_process_when_an_idle_one_has_died_unnoticed(
 ) -> None:
     pool = spawn(PoolActor, parts, PoolPolicy(spare=1), node=here())
     run = get(pool.begin.remote(1))
-    first, _ = get(pool.acquire.remote(run, CONFIG, awaited=True))
+    first, _ = get(pool.acquire.remote(run, CONFIG))
     get(pool.release.remote(run, identity(first), None))
     kill(first)
     wait_until(lambda: has_died(first))
-    second, _ = get(pool.acquire.remote(run, CONFIG, awaited=True))
+    second, _ = get(pool.acquire.remote(run, CONFIG))
     assert get(second.__ray_ready__.remote())
     assert second != first
     end([pool])
 
 
-def test_processes_that_no_frame_waits_for_start_one_after_the_other_or_are_taken_from_those_that_come_back(
+def test_a_layer_takes_a_process_that_comes_back_before_its_own_has_started(
     host: str, parts: FakeParts
 ) -> None:
     hanging = FakeParts(parts.folder, hanging_starts=range(1, 1000))
     pool = spawn(PoolActor, hanging, PoolPolicy(spare=0), node=here())
     run = get(pool.begin.remote(1))
-    first, _ = get(pool.acquire.remote(run, CONFIG, awaited=True))
-    asked = [pool.acquire.remote(run, CONFIG, awaited=False) for _ in range(3)]
+    first, _ = get(pool.acquire.remote(run, CONFIG))
+    asked = [pool.acquire.remote(run, CONFIG) for _ in range(3)]
     assert not wait(asked, timeout=2.0)[0]
-    assert get(pool.census.remote()) == PoolCensus(idle=1, busy=1)
+    assert get(pool.census.remote()) == PoolCensus(idle=3, busy=1)
     get(pool.release.remote(run, identity(first), first.release.remote(run)))
     [came], left = wait(asked, timeout=180.0)
     assert get(came)[0] == first
@@ -123,24 +112,25 @@ def test_a_layer_process_that_cannot_start_fails_its_stream_with_the_reason(
     host: str, parts: FakeParts, tmp_path: Path
 ) -> None:
     node = Node(parts=FakeParts(parts.folder, cannot_start=True), policy=PoolPolicy(spare=0))
-    stream = node.start(spec("poor", FakeReader([*crowd(9, 1)], tmp_path)))
+    stream = node.start(spec("poor", FakeReader([picture(t, live=[1]) for t in range(5000)], tmp_path)))
     with pytest.raises(ActorLostError, match=r"No process could be started for a layer: .*no memory left"):
-        stream.advance().result(timeout=200)
+        run_to_end(stream)
     stream.stop(drain=False)
     node.close()
 
 
-def test_a_layer_process_that_hangs_at_its_start_is_replaced(
-    host: str, parts: FakeParts, tmp_path: Path
-) -> None:
+def test_a_layer_process_that_hangs_at_its_start_is_replaced(host: str, parts: FakeParts) -> None:
     hanging = FakeParts(parts.folder, hanging_starts=range(1))
     start_seconds = 8.0 if host == "ray" else 0.5
-    node = Node(parts=hanging, policy=PoolPolicy(spare=0, start_seconds=start_seconds))
-    pictures = crowd(9, 1)
-    [progress] = run_to_end(node.start(spec("slow", FakeReader([*pictures], tmp_path))))
-    assert progress.committed == 9
-    assert rows(tmp_path) == rows_in_one_process(parts, pictures)
-    node.close()
+    pool = spawn(
+        PoolActor, hanging, PoolPolicy(spare=0, start_seconds=start_seconds, short_seconds=0.1), node=here()
+    )
+    run = get(pool.begin.remote(1))
+    get(pool.acquire.remote(run, CONFIG))
+    assert len([*parts.folder.glob("start-*")]) == 2
+    assert get(pool.census.remote()) == PoolCensus(idle=0, busy=1)
+    get(pool.close.remote())
+    end([pool])
 
 
 def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_ended(
@@ -149,7 +139,7 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     policy = PoolPolicy(spare=0, release_seconds=10.0 if host == "ray" else 3.0, idle_seconds=600.0)
     pool = spawn(PoolActor, parts, policy, node=here())
     run = get(pool.begin.remote(1))
-    kept, hanging = (get(pool.acquire.remote(run, CONFIG, awaited=True))[0] for layer in (1, 2))
+    kept, hanging = (get(pool.acquire.remote(run, CONFIG))[0] for layer in (1, 2))
     if host == "ray":
         os.kill(get(hanging.__ray_call__.remote(_pid)), signal.SIGSTOP)
     else:
@@ -159,7 +149,7 @@ def test_a_stopped_stream_s_processes_serve_the_next_and_those_that_hang_are_end
     with pytest.raises(RayActorError):
         get(hanging.__ray_ready__.remote())
     again = get(pool.begin.remote(2))
-    same, address = get(pool.acquire.remote(again, CONFIG, awaited=True))
+    same, address = get(pool.acquire.remote(again, CONFIG))
     assert same == kept
     # What the first stream's coordinator has asked for before may still come.
     get(kept.release.remote(run))
@@ -194,9 +184,9 @@ def test_a_stream_that_has_ended_gets_no_more_processes(host: str, parts: FakePa
     async def end_while_a_process_starts() -> PoolCensus:
         pool = PoolActor(parts, policy)
         run = await pool.begin(1)
-        late = asyncio.ensure_future(pool.acquire(run, CONFIG, awaited=True))
+        late = asyncio.ensure_future(pool.acquire(run, CONFIG))
         await asyncio.sleep(0)
-        assert await pool.census() == PoolCensus(idle=0, busy=1)
+        assert await pool.census() == PoolCensus(idle=1, busy=0)
         await pool.end(run)
         with pytest.raises(LayerError, match="has ended"):
             await late
@@ -238,16 +228,14 @@ def test_objects_beyond_the_memory_have_no_process_of_their_own_and_the_same_lab
     node.close()
 
 
-@on_ray
 def test_memory_is_kept_for_the_streams_that_are_still_to_begin(host: str, parts: FakeParts) -> None:
-    room = Room(parts.folder, 3 + 2 * STREAM_BYTES // LAYER_BYTES + 1)
-    policy = PoolPolicy(spare=9, refill_seconds=60.0, streams=2, memory=room)
+    # For a process beside one stream that is still to begin, but not beside two.
+    room = Room(parts.folder, 1 + STREAM_BYTES // LAYER_BYTES + 1)
+    policy = PoolPolicy(short_seconds=0.1, streams=3, memory=room)
     pool = spawn(PoolActor, parts, policy, node=here())
-    run = get(pool.begin.remote(1))
-    assert get(pool.census.remote()) == PoolCensus(idle=3, busy=0)
-    assert get(pool.acquire.remote(run, CONFIG, awaited=True)) is not None
-    get(pool.begin.remote(2))
-    assert 2 < get(pool.census.remote()).idle < 9
+    first, second = get(pool.begin.remote(1)), get(pool.begin.remote(2))
+    assert get(pool.acquire.remote(first, CONFIG)) is None
+    assert get(pool.acquire.remote(second, CONFIG)) is not None
     end([pool])
 
 
@@ -257,9 +245,8 @@ def test_a_layer_gets_the_process_that_another_gives_back_where_the_memory_holds
     policy = PoolPolicy(short_seconds=60.0, memory=Room(parts.folder, 1))
     pool = spawn(PoolActor, parts, policy, node=here())
     run = get(pool.begin.remote(1))
-    first, _ = get(pool.acquire.remote(run, CONFIG, awaited=True))
-    assert get(pool.acquire.remote(run, CONFIG, awaited=True)) is None  # frames do not wait
-    later = pool.acquire.remote(run, CONFIG, awaited=False)
+    first, _ = get(pool.acquire.remote(run, CONFIG))
+    later = pool.acquire.remote(run, CONFIG)
     assert not wait([later], timeout=0.5)[0]
     get(pool.release.remote(run, identity(first), first.release.remote(run)))
     assert get(later, 180.0)[0] == first

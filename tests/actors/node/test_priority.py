@@ -24,14 +24,14 @@ from mlbs_actors.actors.node.priority import stepping_back
 resource.setrlimit(resource.RLIMIT_NICE, (0, 0))
 if os.getuid() == 0:
     os.setuid(65534)
-with stepping_back(awaited=False):
+with stepping_back():
     print(os.sched_getscheduler(0))
 print(os.sched_getscheduler(0))
 """
 
 
 def _fails() -> None:
-    with stepping_back(awaited=False):
+    with stepping_back():
         raise ZeroDivisionError
 
 
@@ -42,18 +42,12 @@ def _may_come_back() -> bool:
 @pytest.mark.skipif(not _may_come_back(), reason="the system does not let this user come back")
 def test_a_thread_gives_way_and_takes_its_place_again_also_after_an_error() -> None:
     before = os.sched_getscheduler(0)
-    with stepping_back(awaited=False):
+    with stepping_back():
         assert os.sched_getscheduler(0) == os.SCHED_IDLE
     assert os.sched_getscheduler(0) == before
     with pytest.raises(ZeroDivisionError):
         _fails()
     assert os.sched_getscheduler(0) == before
-
-
-def test_who_is_waited_for_does_not_step_back() -> None:
-    before = os.sched_getscheduler(0)
-    with stepping_back(awaited=True):
-        assert os.sched_getscheduler(0) == before
 
 
 def test_who_could_not_come_back_does_not_step_back() -> None:
