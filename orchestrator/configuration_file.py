@@ -34,7 +34,7 @@ _YAML_HEAD = """\
 # and give it with --config FILE, or give --set section.key=value.
 # One set of values serves all videos. Most lengths are px of a 640×480 frame and scale with the square
 # root of the frame's area; taken as they are: consistency_px2, and motion but for flow_std_px.
-# Written by scripts/configuration from mlbs_actors/config.py: change the defaults there.
+# Written by scripts/configuration from mlbs_actors/config/: change the defaults there.
 """
 
 _MARKDOWN_HEAD = """\
@@ -49,7 +49,7 @@ any subset; [`configs/default.yaml`](../configs/default.yaml) holds all. In Pyth
 `load_config("file.yaml", ["layers.lookahead=4"])`.
 
 This page and that file are written by `scripts/configuration` from
-[`mlbs_actors/config.py`](../mlbs_actors/config.py). Do not edit them by hand.
+[`mlbs_actors/config/`](../mlbs_actors/config). Do not edit them by hand.
 """
 
 # A meaning ends with its unit where the name does not include it: "..., nats." or "..., px (not scaled ...)."
