@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -35,8 +36,7 @@ __all__ = [
 SWEEPS = 3
 
 
-@dataclass(frozen=True, slots=True)
-class SearchEffort:
+class SearchEffort(NamedTuple):
     """How much work is spent on a flow.
 
     Attributes
@@ -130,26 +130,24 @@ def improve_flow(
     """
     if parts:
         boxes = np.array([(part.x, part.y, part.width, part.height) for part in parts])
-        _improve(
-            source.gray, target.around, source.slope_x, source.slope_y, flow, boxes,
-            max(1, effort.iterations // 2), effort.refinements, effort.stride,
-        )  # fmt: skip
+        _improve(source.gray, target.around, source.slope_x, source.slope_y, flow, boxes, effort)
 
 
 @compiled
 def _improve(
-    gray: Array, around: Array, slope_x: Array, slope_y: Array, flow: Array, boxes: Array, iterations: int,
-    refinements: int, stride: int,
+    gray: Array, around: Array, slope_x: Array, slope_y: Array, flow: Array, boxes: Array,
+    effort: SearchEffort,
 ) -> None:  # fmt: skip
     """:func:`improve_flow` in boxes (n, 4): left, top, width and height."""
+    iterations = max(1, effort.iterations // 2)  # of each pass
     for box in range(len(boxes)):
         left, top, width, height = boxes[box]
-        across, down = patch_places(left, width, stride), patch_places(top, height, stride)
+        across, down = patch_places(left, width, effort.stride), patch_places(top, height, effort.stride)
         motions = search_patches(gray, around, slope_x, slope_y, flow, across, down, iterations)
         window = np.zeros((3, height, width), np.float32)
         densify(gray, around, motions, across, down, left, top, window)
-        for _ in range(refinements):
-            refine_flow(gray, around, left, top, window, MARGIN, SWEEPS)
+        for _ in range(effort.refinements):
+            refine_flow(gray, around, (left, top), window, MARGIN, SWEEPS)
         for axis in range(2):  # index 2 of the window holds the sum of weights
             for y in range(height):
                 for x in range(width):

@@ -7,7 +7,7 @@ explain it well counting most (:mod:`mlbs_actors.flow.inverse_search` says where
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,28 @@ MARGIN = 16
 STRIP = 8
 
 
+class _Pair(NamedTuple):
+    """A level of two frames, as flat arrays, where a pixel's place is one sum.
+
+    Attributes
+    ----------
+    gray : (h · w,)
+        The frame that the patches are from.
+    around : ((h + 2 MARGIN) · (w + 2 MARGIN),)
+        The frame where they are searched, padded.
+    slope_x, slope_y : (h · w,)
+        Of the former.
+    shape : (int, int)
+        (h, w).
+    """
+
+    gray: Array
+    around: Array
+    slope_x: Array
+    slope_y: Array
+    shape: tuple[int, int]
+
+
 @compiled
 def patch_places(start: int, length: int, stride: int) -> Array:
     """Return where patches begin along one axis; the last one ends where the part does."""
@@ -38,34 +60,23 @@ def search_patches(
     iterations: int,
 ) -> Array:  # fmt: skip
     """Find the motion of each patch, (rows, columns, 2), in two passes: from the top left, and back."""
-    rows, columns, shape = down.size, across.size, gray.shape
-    gray, around, slope_x, slope_y = (
-        gray.reshape(-1),
-        around.reshape(-1),
-        slope_x.reshape(-1),
-        slope_y.reshape(-1),
-    )
+    rows, columns = down.size, across.size
+    pair = _Pair(gray.reshape(-1), around.reshape(-1), slope_x.reshape(-1), slope_y.reshape(-1), gray.shape)
     motions = np.empty((rows, columns, 2), np.float32)
     slopes = np.empty((rows, columns, 5), np.float32)
     for row in range(rows):
         for column in range(columns):
             y, x = down[row], across[column]
-            slopes[row, column] = _slopes(slope_x, slope_y, shape, y, x)
+            slopes[row, column] = _slopes(pair, y, x)
             for axis in range(2):
                 motions[row, column, axis] = flow[axis, y + PATCH // 2, x + PATCH // 2]
     for step in (1, -1):
-        _pass(
-            gray, around, slope_x, slope_y, shape, motions[::step, ::step], slopes[::step, ::step],
-            across[::step], down[::step], iterations,
-        )  # fmt: skip
+        _pass(pair, motions[::step, ::step], slopes[::step, ::step], across[::step], down[::step], iterations)
     return motions
 
 
 @compiled
-def _pass(
-    gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], motions: Array,
-    slopes: Array, across: Array, down: Array, iterations: int,
-) -> None:  # fmt: skip
+def _pass(pair: _Pair, motions: Array, slopes: Array, across: Array, down: Array, iterations: int) -> None:
     """Search every patch from its own motion or that of the one before it in its row or column, in place.
 
     Patches on a diagonal do not depend on each other and are interleaved step by step: the sums of a single
@@ -82,11 +93,11 @@ def _pass(
                 row, column = top + k, diagonal - k
                 y, x = down[row], across[column]
                 u, v = motions[row, column, 0], motions[row, column, 1]
-                least = _mismatch(gray, around, shape, y, x, u, v)
+                least = _mismatch(pair, y, x, u, v)
                 for other_row, other_column in ((row, max(column - 1, 0)), (max(row - 1, 0), column)):
                     other_u = motions[other_row, other_column, 0]
                     other_v = motions[other_row, other_column, 1]
-                    other = _mismatch(gray, around, shape, y, x, other_u, other_v)
+                    other = _mismatch(pair, y, x, other_u, other_v)
                     better = other < least  # branch-free, as it would be mispredicted
                     least = other if better else least
                     u = other_u if better else u
@@ -99,10 +110,7 @@ def _pass(
                 for place in range(count):
                     k = descending[place]
                     row, column = top + k, diagonal - k
-                    u, v, now = _descended(
-                        gray, around, slope_x, slope_y, shape, down[row], across[column], us[k], vs[k],
-                        slopes[row, column],
-                    )  # fmt: skip
+                    u, v, now = _descended(pair, down[row], across[column], us[k], vs[k], slopes[row, column])
                     descending[left] = k
                     left += now < mismatch[k]
                     us[k], vs[k], mismatch[k] = u, v, now
@@ -114,15 +122,13 @@ def _pass(
                     motions[row, column, 0], motions[row, column, 1] = us[k], vs[k]
 
 
-# The functions below index flat arrays, where a pixel's place is one sum, and are inlined: calls would move
-# more arguments than a patch has rows.
+# The functions below are inlined: calls would move more arguments than a patch has rows.
 
 
 @inlined
 def _descended(
-    gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
-    u: np.float32, v: np.float32, slopes: Array,
-) -> tuple[np.float32, np.float32, np.float32]:  # fmt: skip
+    pair: _Pair, y: int, x: int, u: np.float32, v: np.float32, slopes: Array
+) -> tuple[np.float32, np.float32, np.float32]:
     """Take one step of inverse-compositional descent, brightness aside; return motion and last mismatch.
 
     Sobel's slopes are eight times the derivatives, so a step is an eighth of a Gauss–Newton step. With full
@@ -130,7 +136,7 @@ def _descended(
     """
     xx, xy, yy, sum_x, sum_y = slopes[0], slopes[1], slopes[2], slopes[3], slopes[4]
     determinant = max(xx * yy - xy * xy, np.float32(1e-3))
-    total, squares, along, below = _differences(gray, around, slope_x, slope_y, shape, y, x, u, v)
+    total, squares, along, below = _differences(pair, y, x, u, v)
     mean = total / np.float32(PATCH * PATCH)
     gradient_x, gradient_y = along - mean * sum_x, below - mean * sum_y
     u -= (yy * gradient_x - xy * gradient_y) / determinant
@@ -162,17 +168,15 @@ def _place(width: int, y: int, x: int, row: int, column: int) -> np.uint64:
 
 
 @inlined
-def _slopes(
-    slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int
-) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
+def _slopes(pair: _Pair, y: int, x: int) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Sum the slopes' squares and product, and the slopes, over a patch."""
     xx, xy, yy, sum_x, sum_y = np.int32(0), np.int32(0), np.int32(0), np.int32(0), np.int32(0)
     # Columns are the outer loop: LLVM unrolls the rows, and does all columns at once. Sums of integers may be
     # added in any order.
     for column in range(PATCH):
         for row in range(PATCH):
-            at = _place(shape[1], y, x, row, column)
-            along, below = np.int32(slope_x[at]), np.int32(slope_y[at])
+            at = _place(pair.shape[1], y, x, row, column)
+            along, below = np.int32(pair.slope_x[at]), np.int32(pair.slope_y[at])
             xx, xy, yy = (
                 np.int32(xx + along * along),
                 np.int32(xy + along * below),
@@ -183,20 +187,19 @@ def _slopes(
 
 
 @inlined
-def _mismatch(
-    gray: Array, around: Array, shape: tuple[int, int], y: int, x: int, u: np.float32, v: np.float32
-) -> np.float32:
+def _mismatch(pair: _Pair, y: int, x: int, u: np.float32, v: np.float32) -> np.float32:
     """Sum the squared differences of a patch and its place in the target, less their mean."""
-    there, across, down = _source_place(shape, y, x, u, v)
-    here, upper = _place(shape[1], y, x, 0, 0), _between(around, there, across)
+    width = pair.shape[1]
+    there, across, down = _source_place(pair.shape, y, x, u, v)
+    here, upper = _place(width, y, x, 0, 0), _between(pair.around, there, across)
     summed = broadcast(np.float32(0), PATCH)
     squares = summed
     for _ in range(PATCH):
-        there += np.uint64(shape[1] + 2 * MARGIN)
-        lower = _between(around, there, across)
-        difference = _row_difference(gray, here, upper, lower, down)
+        there += np.uint64(width + 2 * MARGIN)
+        lower = _between(pair.around, there, across)
+        difference = _row_difference(pair.gray, here, upper, lower, down)
         summed, squares = summed + difference, multiply_add(difference, difference, squares)
-        here, upper = here + np.uint64(shape[1]), lower
+        here, upper = here + np.uint64(width), lower
     plain, squared = np.float32(sum_of_lanes(summed)), np.float32(sum_of_lanes(squares))
     mean = plain / np.float32(PATCH * PATCH)
     return squared - mean * plain
@@ -204,22 +207,22 @@ def _mismatch(
 
 @inlined
 def _differences(
-    gray: Array, around: Array, slope_x: Array, slope_y: Array, shape: tuple[int, int], y: int, x: int,
-    u: np.float32, v: np.float32,
-) -> tuple[np.float32, np.float32, np.float32, np.float32]:  # fmt: skip
+    pair: _Pair, y: int, x: int, u: np.float32, v: np.float32
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Sum a patch's differences: plain, squared, times its slope along x, and along y."""
-    there, across, down = _source_place(shape, y, x, u, v)
-    here, upper = _place(shape[1], y, x, 0, 0), _between(around, there, across)
+    width = pair.shape[1]
+    there, across, down = _source_place(pair.shape, y, x, u, v)
+    here, upper = _place(width, y, x, 0, 0), _between(pair.around, there, across)
     summed = broadcast(np.float32(0), PATCH)
     squares, along, below = summed, summed, summed
     for _ in range(PATCH):
-        there += np.uint64(shape[1] + 2 * MARGIN)
-        lower = _between(around, there, across)
-        difference = _row_difference(gray, here, upper, lower, down)
+        there += np.uint64(width + 2 * MARGIN)
+        lower = _between(pair.around, there, across)
+        difference = _row_difference(pair.gray, here, upper, lower, down)
         summed, squares = summed + difference, multiply_add(difference, difference, squares)
-        along = multiply_add(difference, load(slope_x, here, PATCH), along)
-        below = multiply_add(difference, load(slope_y, here, PATCH), below)
-        here, upper = here + np.uint64(shape[1]), lower
+        along = multiply_add(difference, load(pair.slope_x, here, PATCH), along)
+        below = multiply_add(difference, load(pair.slope_y, here, PATCH), below)
+        here, upper = here + np.uint64(width), lower
     return sum_of_lanes(summed), sum_of_lanes(squares), sum_of_lanes(along), sum_of_lanes(below)
 
 

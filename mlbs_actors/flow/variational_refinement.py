@@ -48,7 +48,7 @@ _FIRST, _ABOVE = 7, 14  # scratch rows of the system, and of the coupling of the
 
 @compiled
 def refine_flow(
-    source: Array, target: Array, left: int, top: int, flow: Array, margin: int, sweeps: int
+    source: Array, target: Array, corner: tuple[int, int], flow: Array, margin: int, sweeps: int
 ) -> None:
     """Refine the flow in a part of a frame, in place.
 
@@ -58,8 +58,8 @@ def refine_flow(
         Grey levels.
     target : (h + 2 margin, w + 2 margin) float32
         Grey levels, continued past its sides.
-    left, top : int
-        Where the part begins in ``source``, px.
+    corner : (int, int)
+        (x, y) in ``source`` where the part begins, px.
     flow : (2 or more, height, width) float32
         x and y of the motion from ``source`` to ``target``, px; 2 pixels a side at least.
     margin : int
@@ -73,7 +73,7 @@ def refine_flow(
     for newest in range(height + 2 + half_sweeps):
         if newest < height:
             _read_flow(rows, newest, width, flow)
-            _warp(rows, newest, width, source, target, left, top, margin, places)
+            _warp(rows, newest, width, source, target, corner, margin, places)
         y = newest - 1
         if 0 <= y < height:
             _derive(rows, y, width, last, _MEAN, _X, _Y)
@@ -153,10 +153,11 @@ def _write_flow(rows: Array, y: int, width: int, flow: Array) -> None:
 
 @compiled
 def _warp(
-    rows: Array, y: int, width: int, source: Array, target: Array, left: int, top: int, margin: int,
+    rows: Array, y: int, width: int, source: Array, target: Array, corner: tuple[int, int], margin: int,
     places: Array,
 ) -> None:  # fmt: skip
     """Compute mean and difference of the source and the warped target, grey levels."""
+    left, top = corner
     one, zero = np.uint64(1), np.float32(0)
     u, v = _row(_U, y, width) + one, _row(_V, y, width) + one
     mean, difference = _row(_MEAN, y, width) + one, _row(_DIFFERENCE, y, width) + one
@@ -265,37 +266,29 @@ def _fit(rows: Array, y: int, width: int, last: int) -> None:
         at, bound = np.uint64(x), _FIRST + _RIGHT
         right, left = _lanes(rows, _SPARE, bound, width, x), _lanes(rows, _SPARE, bound, width, x - 1)
         below, above = _lanes(rows, _SPARE, _FIRST + _BELOW, width, x), _lanes(rows, _SPARE, _ABOVE, width, x)
-        bonds = right + left + below + above
+        bonds, coupling = (right, left, below, above), right + left + below + above
         a11 = colour * (along_x * along_x) + (x_weight * xx + y_weight * xy) + zeta2
         a22 = colour * (along_y * along_y) + (x_weight * xy + y_weight * yy) + zeta2
         a12 = colour * along_x * along_y + (x_weight * along_xx + y_weight * along_yy) * along_xy
-        store(rows, _made(_A11, width) + at, _alike(RELAXATION) / (a11 + bonds))
-        store(rows, _made(_A22, width) + at, _alike(RELAXATION) / (a22 + bonds))
+        store(rows, _made(_A11, width) + at, _alike(RELAXATION) / (a11 + coupling))
+        store(rows, _made(_A22, width) + at, _alike(RELAXATION) / (a22 + coupling))
         store(rows, _made(_A12, width) + at, a12)
         # From here on the weights hold the weighted terms.
         colour, x_weight, y_weight = colour * along_t, x_weight * along_xt, y_weight * along_yt
-        pull = _drawn(rows, _U, y, width, under, x, right, left, below, above)
+        pull = _drawn(rows, _U, y, width, under, x, bonds)
         push = colour * along_x + (x_weight * along_xx + y_weight * along_xy)
         store(rows, _made(_B1, width) + at, pull - push)
-        pull = _drawn(rows, _V, y, width, under, x, right, left, below, above)
+        pull = _drawn(rows, _V, y, width, under, x, bonds)
         push = colour * along_y + (x_weight * along_xy + y_weight * along_yy)
         store(rows, _made(_B2, width) + at, pull - push)
 
 
 @inlined
 def _drawn(
-    rows: Array,
-    flow: int,
-    y: int,
-    width: int,
-    under: int,
-    x: int,
-    right: Any,
-    left: Any,
-    below: Any,
-    above: Any,
+    rows: Array, flow: int, y: int, width: int, under: int, x: int, bonds: tuple[Any, Any, Any, Any]
 ) -> Any:
-    """Sum the pull of the neighbours' flow on a component, weighted by the coupling."""
+    """Sum the pull on a component of the flow, weighted by the bonds to the right, left, below and above."""
+    right, left, below, above = bonds
     here = _lanes(rows, flow, y, width, x)
     after, before = _lanes(rows, flow, y, width, x + 1) - here, here - _lanes(rows, flow, y, width, x - 1)
     beside = right * after - left * before

@@ -28,7 +28,7 @@ def refined(source: Array, target: Array, part: Region, flow: Array, sweeps: int
     )
     flow = flow.copy()
     for _ in range(steps):
-        refine_flow(source, around, part.x, part.y, flow, MARGIN, sweeps)
+        refine_flow(source, around, (part.x, part.y), flow, MARGIN, sweeps)
     return flow
 
 
