@@ -26,7 +26,7 @@ from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.footage.light import unchanged
 from mlbs_actors.messages import BACKGROUND, Array, FrameStatus
 from mlbs_actors.stages import timed
-from mlbs_actors.tracking.tracker import Tracked, track
+from mlbs_actors.tracking.tracker import Tracked, Transition, track
 from mlbs_actors.tracking.trajectories import TrackFunction, follow_trajectories
 
 __all__ = ["Match", "Matcher"]
@@ -136,8 +136,9 @@ class Matcher:
                     previous=epoch.picture.image,
                     current=picture.image,
                 )
+            transition = None if flow is None else Transition(gray, flow)
             tracked = track(
-                epoch.trajectories, known, fixed, flow, gray, picture.gray, epoch.shape, config, follow
+                epoch.trajectories, known, fixed, transition, picture.gray, epoch.shape, config, follow
             )
             if flow is not None:
                 astray = rows_astray(flow, tracked.camera, length_scale(*epoch.shape))

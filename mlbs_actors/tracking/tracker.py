@@ -33,7 +33,23 @@ from mlbs_actors.tracking.trajectories import (
     with_residuals,
 )
 
-__all__ = ["Tracked", "track"]
+__all__ = ["Tracked", "Transition", "track"]
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """How the frame before becomes the new one.
+
+    Attributes
+    ----------
+    previous : (h, w) uint8
+        The frame before, as the flow sees it.
+    flow : DenseFlow
+        Between the two.
+    """
+
+    previous: Array
+    flow: DenseFlow
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +83,7 @@ def track(
     before: TrajectoryState,
     background: Array,
     fixed: FixedState,
-    flow: DenseFlow | None,
-    previous: Array,
+    transition: Transition | None,
     gray: Array,
     shape: tuple[int, int],
     config: Config,
@@ -83,11 +98,11 @@ def track(
     background : (n,) bool
         Which of them determine the camera's motion.
     fixed : FixedState
-        Of the frame before; of this one without a flow.
-    flow : DenseFlow or None
-        Between the two frames; None in the first one.
-    previous, gray : (h, w) uint8
-        The two frames as the flow sees them; ``previous`` is not used without a flow.
+        Of the frame before; of this one without a transition.
+    transition : Transition or None
+        None in the first frame.
+    gray : (h, w) uint8
+        The frame, as the flow sees it.
     shape : (int, int)
         (H, W) of the full frame.
     follow : callable, optional
@@ -102,9 +117,9 @@ def track(
     side = cell_side(shape, config.grid.cell_px)
     spacing = settings.seed_spacing_px * scale
     trajectories, survivors = before, np.arange(len(before))
-    if flow is not None:
+    if transition is not None:
         trajectories, survivors = (
-            advance_trajectories(before, flow, shape) if follow is None else follow(before)
+            advance_trajectories(before, transition.flow, shape) if follow is None else follow(before)
         )
     informative = (trajectories.ages > 0) & background[survivors]
     voters = evenly_spread(trajectories.positions, informative, 2 * spacing)
@@ -117,9 +132,11 @@ def track(
         swing, camera = found
     nothing = np.zeros(gray.shape, np.float32)
     against_camera = CameraEvidence(nothing, nothing, np.zeros(gray.shape, np.uint8))
-    if flow is not None:
+    if transition is not None:
         rows = None if swing is None else swing.at(side * np.arange(gray.shape[0]))
-        against_camera = camera_evidence(previous, gray, camera, flow.backward, side, settings, rows)
+        against_camera = camera_evidence(
+            transition.previous, gray, camera, transition.flow.backward, side, settings, rows
+        )
         fixed = fixed_cells(fixed, gray, against_camera.difference)
         if fixed.cells.any():
             against_camera = _scene_only(against_camera, fixed.cells)
@@ -139,6 +156,7 @@ def track(
             settings.square_tracks,
         )  # fmt: skip
         trajectories, survivors = selected(trajectories, stays), survivors[stays]
+    flow = None if transition is None else transition.flow
     trajectories = seed_trajectories(
         trajectories, gray, flow, shape, side, settings, against_camera.advantage, fixed.cells
     )

@@ -10,7 +10,7 @@ from mlbs_actors.config import Config
 from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking.density import SQUARE, room_left, within_room
-from mlbs_actors.tracking.tracker import track
+from mlbs_actors.tracking.tracker import Transition, track
 from mlbs_actors.tracking.trajectories import empty_trajectories
 from orchestrator.sources.synthetic import scene
 
@@ -59,12 +59,12 @@ def test_trajectories_of_an_object_that_is_watched_for_long_do_not_pile_up() -> 
     stage = scene("steady-crowd", frames=60, width=shape[1], height=shape[0], objects=1)
     grays = [flow_gray(stage.frame(index), side) for index in range(60)]
     fixed, none = FixedState.beginning(grays[0]), empty_trajectories(config.trajectories)
-    state = track(none, np.zeros(0, bool), fixed, None, grays[0], grays[0], shape, config).trajectories
+    state = track(none, np.zeros(0, bool), fixed, None, grays[0], shape, config).trajectories
     for index in range(1, 180):  # forth, back and forth
         before, gray = (grays[59 - abs(59 - (at % 118))] for at in (index - 1, index))
-        flow = dense_flow(before, gray, side, config)
+        transition = Transition(before, dense_flow(before, gray, side, config))
         known = np.ones(len(state), bool)
-        tracked = track(state, known, fixed, flow, before, gray, shape, config)
+        tracked = track(state, known, fixed, transition, gray, shape, config)
         state, fixed = tracked.trajectories, tracked.fixed
         old = state.positions[state.ages == config.trajectories.history_frames]
         assert (room_left(old, gray.shape, side, config.trajectories.square_tracks) >= 0).all()

@@ -10,7 +10,7 @@ from mlbs_actors.config import Config
 from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.messages import Array
 from mlbs_actors.tracking import tracker
-from mlbs_actors.tracking.tracker import Tracked, track
+from mlbs_actors.tracking.tracker import Tracked, Transition, track
 from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
 from orchestrator.sources.synthetic import scene
 
@@ -28,15 +28,20 @@ def first(frame: Array) -> Tracked:
     before = empty_trajectories(CONFIG.trajectories)
     gray = flow_gray(frame, SIDE)
     fixed = FixedState.beginning(gray)
-    return track(before, np.zeros(0, bool), fixed, None, gray, gray, SHAPE, CONFIG)
+    return track(before, np.zeros(0, bool), fixed, None, gray, SHAPE, CONFIG)
+
+
+def transition(one: Array, other: Array) -> tuple[Transition, Array]:
+    """How one frame becomes the other, and that one as the flow sees it."""
+    before, now = flow_gray(one, SIDE), flow_gray(other, SIDE)
+    return Transition(before, dense_flow(before, now, SIDE, CONFIG)), now
 
 
 def followed(one: Array, other: Array) -> tuple[TrajectoryState, Tracked]:
     begun = first(one)
     before = begun.trajectories
-    grays = flow_gray(one, SIDE), flow_gray(other, SIDE)
-    flow = dense_flow(*grays, SIDE, CONFIG)
-    return before, track(before, np.ones(len(before), bool), begun.fixed, flow, *grays, SHAPE, CONFIG)
+    known = np.ones(len(before), bool)
+    return before, track(before, known, begun.fixed, *transition(one, other), SHAPE, CONFIG)
 
 
 def test_the_first_frame_only_begins_trajectories() -> None:
@@ -77,7 +82,6 @@ def test_a_crowd_does_not_make_the_camera_drive_where_one_homography_explains_th
     background = (shown.labels(6)[row, column] == 0) == (told_by == "the ground")
     asked = []
     monkeypatch.setattr(tracker, "forward_motion", lambda *given: asked.append(given))
-    grays = flow_gray(one, SIDE), flow_gray(other, SIDE)
-    flow = dense_flow(*grays, SIDE, CONFIG)
-    track(before, background, FixedState.beginning(grays[0]), flow, *grays, SHAPE, CONFIG)
+    fixed = FixedState.beginning(flow_gray(one, SIDE))
+    track(before, background, fixed, *transition(one, other), SHAPE, CONFIG)
     assert len(asked) == (0 if told_by == "the ground" else 1)
