@@ -14,7 +14,7 @@ from orchestrator.credentials import mask
 from orchestrator.events.zones import EventRules
 from orchestrator.run.driver import SpecChange
 from orchestrator.run.list_watch import ListWatch
-from orchestrator.run.run_folder import RunFolder, describe_run
+from orchestrator.run.run_folder import RunFolder, RunSettings, describe_run
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.record import StreamRecord, ends_group
@@ -107,12 +107,19 @@ class Job:
 
     def _described(self) -> dict[str, Any]:
         given = self._arguments
+        settings = RunSettings(
+            save=given.save,
+            max_frames=given.max_frames,
+            max_side=given.max_side,
+            ignored=given.ignored.digests,
+            zones=given.zones.digest,
+            segment=given.segment,
+            keep=given.keep.words if given.keep else (),
+        )
         command = given.command(f"{self._folder.path}-again")
         description = describe_run(
-            list(self._streams.values()), self._config, given.save, given.max_frames, given.max_side, command,
-            given.ignored.digests, given.zones.digest, self._sources,
-            given.segment, given.keep.words if given.keep else (),
-        )  # fmt: skip
+            list(self._streams.values()), self._config, settings, command, self._sources
+        )
         self._sources = description["sources"]
         return description
 

@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.run.versions import installed_versions
 from orchestrator.sinks.record import recorded_frames
 
-__all__ = ["RunFolder", "StatusFile", "describe_run", "read_description"]
+__all__ = ["RunFolder", "RunSettings", "StatusFile", "describe_run", "read_description"]
 
 #: Keys of ``run.json`` that must not change when a run is resumed.
 _SAME = {
@@ -49,6 +49,37 @@ _MOST_CHANGES = 3
 
 #: Least time between two writings of ``status.json``, s.
 _STATUS_SECONDS = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """What is asked of a run besides its streams and parameters.
+
+    Attributes
+    ----------
+    save : frozenset of str
+        Parts of the record.
+    max_frames : int, optional
+        Label maps to make of each stream.
+    max_side : int, optional
+        Longest side of the pictures that are processed, px.
+    ignored : mapping of str to str
+        Digests of the files to ignore.
+    zones : str, optional
+        Digest of the file of zones.
+    segment : int, optional
+        Length of the segments of cameras, s.
+    keep : sequence of str
+        Limits of what is kept of cameras.
+    """
+
+    save: frozenset[str]
+    max_frames: int | None = None
+    max_side: int | None = None
+    ignored: Mapping[str, str] = field(default_factory=dict)
+    zones: str | None = None
+    segment: int | None = None
+    keep: Sequence[str] = ()
 
 
 def read_description(run: Path) -> dict[str, Any] | None:
@@ -298,21 +329,13 @@ def _given(value: Any) -> str:
 def describe_run(
     streams: Sequence[ListedStream],
     config: Config,
-    save: frozenset[str],
-    max_frames: int | None,
-    max_side: int | None = None,
+    settings: RunSettings,
     command: Sequence[str] = (),
-    ignored: Mapping[str, str] | None = None,
-    zones: str | None = None,
     recorded: Mapping[str, str] | None = None,
-    segment: int | None = None,
-    keep: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the content of ``run.json``: everything that the results depend on, without credentials.
 
-    ``command`` starts the same run; ``ignored`` are the digests of the files to ignore, and
-    ``zones`` that of the file of zones; ``recorded`` are the sources of streams that were recorded before.
-    Of cameras, ``segment`` is the length of segments, s, and ``keep`` are the limits of what is kept.
+    ``command`` starts the same run; ``recorded`` are the sources of streams that were recorded before.
     """
     parameters = config.model_dump(mode="json")
     sources = {**(recorded or {}), **{stream.name: str(stream.source) for stream in streams}}
@@ -320,13 +343,13 @@ def describe_run(
         "started": _now(),
         "config": parameters,
         "sources": sources,
-        "save": sorted(save),
-        "max_frames": max_frames,
-        "max_side": max_side,
-        "ignored": ignored or None,
-        "zones": zones,
-        "segment": segment,
-        "keep": list(keep),
+        "save": sorted(settings.save),
+        "max_frames": settings.max_frames,
+        "max_side": settings.max_side,
+        "ignored": settings.ignored or None,
+        "zones": settings.zones,
+        "segment": settings.segment,
+        "keep": list(settings.keep),
         "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
         "versions": installed_versions(),

@@ -10,7 +10,7 @@ import numpy as np
 from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.messages import LayerSummary, Region, Segmentation
-from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.run.run_folder import RunFolder, RunSettings, StatusFile, describe_run
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord
@@ -78,5 +78,5 @@ def write_run(folder: Path, states: Sequence[StreamState]) -> None:
         ListedStream(state.name, parse_address("rtsp://bob:hunter2@cam/x", folder), 1) for state in states
     ]
     command = ["python", "-m", "orchestrator", "--streams", "/a b/list.txt"]
-    RunFolder(folder).create(describe_run(streams, Config(), EVERYTHING, None, command=command))
+    RunFolder(folder).create(describe_run(streams, Config(), RunSettings(EVERYTHING), command))
     StatusFile(folder / "status.json").finish(states, 1)

@@ -37,7 +37,7 @@ from orchestrator.command_options import SAVED
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.ray_session import ray_settings
 from orchestrator.run.argument_streams import DEMO
-from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.run.run_folder import RunFolder, RunSettings, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sources.synthetic import scene
@@ -374,7 +374,7 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     assert arguments.streams is not None
     streams, config = read_stream_list(arguments.streams), Config()
     folder = RunFolder(tmp_path / "out")
-    folder.create(describe_run(streams, config, arguments.save, None))
+    folder.create(describe_run(streams, config, RunSettings(arguments.save)))
     StatusFile(folder.path / "status.json").finish([StreamState("street", "done", read=9, committed=9)], 0)
     ended = run_whole(*given, "--resume")
     assert ended.returncode == 0, ended.stderr

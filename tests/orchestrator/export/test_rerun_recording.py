@@ -16,7 +16,7 @@ from record_fakes import HEIGHT, WIDTH, write_stream
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
 from orchestrator.export.__main__ import main
-from orchestrator.run.run_folder import RunFolder, describe_run
+from orchestrator.run.run_folder import RunFolder, RunSettings, describe_run
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sources.address import parse_address
@@ -42,7 +42,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ListedStream(name, parse_address(source, folder), line)
         for line, (name, source) in enumerate(SOURCES.items(), start=1)
     ]
-    RunFolder(folder).create(describe_run(streams, Config(), SAVED, None))
+    RunFolder(folder).create(describe_run(streams, Config(), RunSettings(SAVED)))
     return folder
 
 

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from orchestrator.events.delivery import Backlog
 from orchestrator.run import durable_files
 from orchestrator.run.durable_files import append_line, replace_file
 from orchestrator.run.run import what_to_look_at
-from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.run.run_folder import RunFolder, RunSettings, StatusFile, describe_run
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.commit_log import CommitLog
@@ -28,6 +29,7 @@ def listed(name: str, uri: str) -> ListedStream:
     return ListedStream(name, parse_address(uri, Path("/videos")), 1)
 
 
+MASKS = RunSettings(frozenset({"masks"}))
 STATES = [
     StreamState("yard", "done", read=12, committed=12),
     StreamState("a<b>", "partial", read=9, committed=8, quarantined=1, error="1 frame <is> bad."),
@@ -88,7 +90,7 @@ def test_a_second_run_is_refused_and_the_first_one_keeps_its_description(tmp_pat
 
 def test_a_run_is_described_by_all_that_its_results_depend_on_but_no_password() -> None:
     streams = [listed("yard", "yard.mp4"), listed("door", "rtsp://bob:hunter2@cam/door?token=hunter3")]
-    description = describe_run(streams, Config(), frozenset({"parquet", "masks"}), 7)
+    description = describe_run(streams, Config(), RunSettings(frozenset({"parquet", "masks"}), 7))
     assert description["sources"] == {"yard": "/videos/yard.mp4", "door": "rtsp://***@cam/door?token=***"}
     assert description["config"] == Config().model_dump(mode="json")
     assert (description["save"], description["max_frames"]) == (["masks", "parquet"], 7)
@@ -98,7 +100,7 @@ def test_a_run_is_described_by_all_that_its_results_depend_on_but_no_password() 
 
 def test_the_hashes_change_with_the_configuration_and_the_sources_only() -> None:
     def hashes(config: Config, uri: str) -> dict[str, str]:
-        described: dict[str, str] = describe_run([listed("a", uri)], config, frozenset(), None)["hashes"]
+        described: dict[str, str] = describe_run([listed("a", uri)], config, MASKS)["hashes"]
         return described
 
     other = Config.model_validate({"layers": {"lookahead": 3}})
@@ -221,7 +223,7 @@ def test_lines_of_the_list_may_change_whose_streams_have_no_frame_yet(tmp_path: 
 
     def described(**sources: str) -> dict[str, Any]:
         streams = [listed(name, source) for name, source in sources.items()]
-        return describe_run(streams, Config(), frozenset({"masks"}), None)
+        return describe_run(streams, Config(), MASKS)
 
     folder.create(described(yard="yard.mp4", door="dor.mp4"))
     record_frame(tmp_path / "yard")
@@ -238,7 +240,8 @@ def test_lines_of_the_list_may_change_whose_streams_have_no_frame_yet(tmp_path: 
 
 def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
-    plain = describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), None)
+    streams, config = [listed("yard", "yard.mp4")], Config()
+    plain = describe_run(streams, config, MASKS)
     assert not folder.holds_run
     folder.create(plain)
     assert folder.holds_run
@@ -246,29 +249,21 @@ def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     begun = folder.description()
     folder.refuse_other(begun, plain | {"started": "later"})
     other_config = Config.model_validate({"layers": {"lookahead": 1}})
+    ignoring = replace(MASKS, ignored={"yard=/mask.png": "ab12"})
     for description, words in (
+        (describe_run(streams, other_config, MASKS), r"parameters \(layers.lookahead was 0, now 1\)"),
+        (describe_run([listed("yard", "other.mp4")], config, MASKS), "streams"),
         (
-            describe_run([listed("yard", "yard.mp4")], other_config, frozenset({"masks"}), None),
-            r"parameters \(layers.lookahead was 0, now 1\)",
-        ),
-        (describe_run([listed("yard", "other.mp4")], Config(), frozenset({"masks"}), None), "streams"),
-        (
-            describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"parquet"}), None),
+            describe_run(streams, config, RunSettings(frozenset({"parquet"}))),
             r"--save \(was masks, now parquet\)",
         ),
         (
-            describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), 7),
+            describe_run(streams, config, replace(MASKS, max_frames=7)),
             r"--max-frames \(was not given, now 7\)",
         ),
-        (describe_run([listed("yard", "yard.mp4")], Config(), frozenset({"masks"}), None, 64), "--max-side"),
+        (describe_run(streams, config, replace(MASKS, max_side=64)), "--max-side"),
         (
-            describe_run(
-                [listed("yard", "yard.mp4")],
-                Config(),
-                frozenset({"masks"}),
-                None,
-                ignored={"yard=/mask.png": "ab12"},
-            ),
+            describe_run(streams, config, ignoring),
             r"files to --ignore \(was not given, now yard=/mask.png\)",
         ),
     ):
