@@ -100,7 +100,7 @@ def warp_model(model: AppearanceModel, new_region: Region, motion: Array) -> App
     Parameters
     ----------
     model : AppearanceModel
-        At frame t−1; left as it is.
+        At frame t−1; left as it is. If no stack moves, as while the camera rests, its arrays are shared.
     new_region : Region
         The layer's region at frame t.
     motion : (new height, new width, 2) float32
@@ -130,6 +130,8 @@ def moved_stacks(
 ) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
     """Move the arrays as :func:`warp_model`, for a region offset by this from the old one's corner."""
     source, new_residual = nearest_sources(residual, shift_x, shift_y, motion)
+    if _stays(source, count):
+        return samples, count, newest, spread, new_residual
     shape, size = source.shape, 3 * samples.shape[3]
     new_samples = np.empty((shape[0], shape[1], 3, samples.shape[3]), np.uint8)
     new_count, new_newest = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
@@ -142,6 +144,17 @@ def moved_stacks(
     else:
         _take_over(sources, old, size, room, new)
     return new_samples, new_count, new_newest, new_spread, new_residual
+
+
+@compiled
+def _stays(source: Array, count: Array) -> bool:
+    """Tell whether every pixel has a stack, and takes its own over."""
+    if source.shape != count.shape:
+        return False
+    places, counts, others = source.reshape(-1), count.reshape(-1), 0
+    for pixel in range(places.size):
+        others += (places[pixel] != pixel) | (counts[pixel] == 0)
+    return bool(others == 0)
 
 
 @compiled

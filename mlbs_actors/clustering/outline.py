@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.config import length_scale
+from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["border_share", "scene_squares", "taken_squares"]
@@ -35,11 +36,17 @@ def taken_squares(positions: Array, shape: tuple[int, int]) -> Array:
     -------
     (rows, columns) bool
     """
-    rows, columns = _squares_of(shape)
-    y = np.clip((positions[:, 1] * rows / shape[0]).astype(np.intp), 0, rows - 1)
-    x = np.clip((positions[:, 0] * columns / shape[1]).astype(np.intp), 0, columns - 1)
-    taken = np.zeros((rows, columns), bool)
-    taken[y, x] = True
+    taken: Array = _taken(positions, shape, np.zeros(_squares_of(shape), np.bool_))
+    return taken
+
+
+@compiled
+def _taken(positions: Array, shape: tuple[int, int], taken: Array) -> Array:
+    """Fill in the squares of :func:`taken_squares`."""
+    rows, columns = taken.shape
+    for point in range(len(positions)):
+        y, x = positions[point, 1] * rows / shape[0], positions[point, 0] * columns / shape[1]
+        taken[min(max(int(y), 0), rows - 1), min(max(int(x), 0), columns - 1)] = True
     return taken
 
 
@@ -69,6 +76,7 @@ def _squares_of(shape: tuple[int, int]) -> tuple[int, int]:
     return rows, columns
 
 
+@compiled
 def border_share(taken: Array, scene: Array) -> float:
     """Share of an outline that is the border of what shows the scene.
 
@@ -82,14 +90,18 @@ def border_share(taken: Array, scene: Array) -> float:
     float
         0 to 1, of the taken squares that are not surrounded by such; 0 if those are few.
     """
-    outline = taken & ~_surrounded(taken)
-    if outline.sum() < LEAST_SQUARES:
-        return 0.0
-    return float((outline & ~_surrounded(scene)).sum() / outline.sum())
+    outline, border = 0, 0
+    for y in range(taken.shape[0]):
+        for x in range(taken.shape[1]):
+            if taken[y, x] and not _surrounded(taken, y, x):
+                outline += 1
+                border += not _surrounded(scene, y, x)
+    return border / outline if outline >= LEAST_SQUARES else 0.0
 
 
-def _surrounded(squares: Array) -> Array:
-    """Which squares have all four beside them in the frame, and such as they are."""
-    inner = np.zeros_like(squares)
-    inner[1:-1, 1:-1] = squares[:-2, 1:-1] & squares[2:, 1:-1] & squares[1:-1, :-2] & squares[1:-1, 2:]
-    return squares & inner
+@compiled
+def _surrounded(squares: Array, y: int, x: int) -> bool:
+    """Whether a square has all four beside it in the frame, and such as it is."""
+    if not (0 < y < squares.shape[0] - 1 and 0 < x < squares.shape[1] - 1 and squares[y, x]):
+        return False
+    return bool(squares[y - 1, x] and squares[y + 1, x] and squares[y, x - 1] and squares[y, x + 1])

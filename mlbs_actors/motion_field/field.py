@@ -38,6 +38,7 @@ Differs from the paper:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,8 +52,7 @@ from mlbs_actors.motion_field.screened_poisson import factorised, inverse_diagon
 __all__ = ["MotionField", "MotionParameters", "motion_field"]
 
 
-@dataclass(frozen=True, slots=True)
-class MotionParameters:
+class MotionParameters(NamedTuple):
     """Parameters of a motion field.
 
     Attributes
@@ -176,50 +176,98 @@ def motion_field(
     -----
     Paper §5, P(M|tracks) ∝ Π N(m_i | m_j, Σ_m) Π N(m_i | m_track, Σ_p).
     """
-    rows, columns = grid_shape(shape, parameters.spacing_px)
-    variance_grid = grid_shape(shape, parameters.variance_spacing_px)
-    mean = np.empty((rows, columns, 2), np.float32)
-    variance = np.empty(variance_grid, np.float32)
-    point_weights = np.zeros(len(positions), np.float32)
-    field = MotionField(
-        shape, mean, parameters.spacing_px, variance, parameters.variance_spacing_px, point_weights
-    )
-    if mean.size == 0:
-        return field
+    grid = grid_shape(shape, parameters.spacing_px)
+    if 0 in grid:
+        nothing, unweighted = np.empty((*grid, 2), np.float32), np.zeros(len(positions), np.float32)
+        return _field(shape, nothing, nothing[..., 0], unweighted, parameters)
     if not all(np.isfinite(one).all() for one in (positions, motions, prior_mean)):
         raise SolverError(
             "A motion field needs finite evidence; drop trajectories with NaN or infinite motion."
         )
-    prior = np.broadcast_to(prior_mean, mean.shape).transpose(2, 0, 1)
+    prior = np.empty((2, *grid))
+    prior[:] = np.broadcast_to(prior_mean, (*grid, 2)).transpose(2, 0, 1)
     points = positions - np.array(corner, positions.dtype)
-    limits = np.array(shape[::-1]) - 0.5
-    inside = np.flatnonzero(((points >= -0.5) & (points < limits)).all(axis=1))
+    mean, variance, point_weights = _inferred(points, motions, shape, prior, parameters)
+    if not np.isfinite(mean).all():
+        raise SolverError(
+            "A motion field could not be solved; bring the standard deviations of its terms closer together."
+        )
+    return _field(shape, mean, variance, point_weights, parameters)
+
+
+def _field(
+    shape: tuple[int, int], mean: Array, variance: Array, point_weights: Array, parameters: MotionParameters
+) -> MotionField:
+    spacings = parameters.spacing_px, parameters.variance_spacing_px
+    return MotionField(shape, mean, spacings[0], variance, spacings[1], point_weights)
+
+
+@compiled
+def _inferred(
+    points: Array, motions: Array, shape: tuple[int, int], prior: Array, parameters: MotionParameters
+) -> tuple[Array, Array, Array]:
+    """Compute mean, variance and weights of :class:`MotionField`, of points (n, 2) in the region's
+    coordinates, for the prior (2, gh, gw) float64. What cannot be solved is NaN."""
+    _, rows, columns = prior.shape
+    grid, spacing = (rows, columns), parameters.spacing_px
+    inside = _inside(points, shape)
     points, motions = points[inside], motions[inside]
-    edge, precision = 1.0 / parameters.smoothness_std_px**2, 1.0 / parameters.point_std_px**2
-    nodes, shares = bilinear_taps(points, rows, columns, parameters.spacing_px)
-    measured = point_misfit(motions, np.ascontiguousarray(prior, np.float64), nodes, shares)
-
-    def deviation_for(weights: Array, taps: tuple[Array, Array], grid: tuple[int, int]) -> Array:
-        weak = 1.0 / (parameters.prior_std_px**2 * grid[0] * grid[1])
-        evidence = lump(*taps, precision * weights, measured, weak, grid)
-        return solved(factorised(evidence[0], edge), evidence[1:])
-
-    weights, apart = np.ones(len(points)), 2 * parameters.spacing_px
-    coarse = grid_shape(shape, apart)
-    taps = bilinear_taps(points, *coarse, apart)
+    nodes, shares = bilinear_taps(points, rows, columns, spacing)
+    measured = point_misfit(motions, prior, nodes, shares)
+    # Weights, by the field on nodes twice as far apart.
+    weights, coarse = np.ones(len(points)), grid_shape(shape, 2 * spacing)
+    coarse_nodes, coarse_shares = bilinear_taps(points, coarse[0], coarse[1], 2 * spacing)
     for _ in range(parameters.robust_rounds if len(points) else 0):
-        misfit = point_misfit(measured, deviation_for(weights, taps, coarse), *taps)
+        evidence = _evidence(coarse_nodes, coarse_shares, weights, measured, coarse, parameters)
+        deviation = _deviation(evidence, parameters)
+        misfit = point_misfit(measured, deviation, coarse_nodes, coarse_shares)
         weights = _robust_weights(misfit, parameters.robust_px)
-    deviation = deviation_for(weights, (nodes, shares), (rows, columns))
-    mean[:] = (prior + deviation).transpose(1, 2, 0)
-    point_weights[inside] = weights
+    mean = np.empty((rows, columns, 2), np.float32)
+    deviation = _deviation(_evidence(nodes, shares, weights, measured, grid, parameters), parameters)
+    for component in range(2):
+        mean[:, :, component] = prior[component] + deviation[component]
     # diag(A⁻¹) of the same model on the grid of the variance.
-    taps = bilinear_taps(points, *variance_grid, parameters.variance_spacing_px)
-    spread_prior = 1.0 / (parameters.prior_std_px**2 * variance.size)
-    evidence = lump(*taps, precision * weights, measured, spread_prior, variance_grid)
-    finer = max(np.log(parameters.variance_spacing_px / parameters.spacing_px) / (2.0 * np.pi), 0.0)
-    variance[:] = inverse_diagonal(factorised(evidence[0], edge), variance_grid) + finer / edge
-    return field
+    sparse = grid_shape(shape, parameters.variance_spacing_px)
+    sparse_nodes, sparse_shares = bilinear_taps(points, sparse[0], sparse[1], parameters.variance_spacing_px)
+    evidence = _evidence(sparse_nodes, sparse_shares, weights, measured, sparse, parameters)
+    edge = 1.0 / parameters.smoothness_std_px**2
+    finer = max(np.log(parameters.variance_spacing_px / spacing) / (2.0 * np.pi), 0.0) / edge
+    variance = np.full(sparse, np.nan, np.float32)
+    factor = factorised(evidence[0], edge)
+    if len(factor):
+        variance[:] = inverse_diagonal(factor, sparse) + finer
+    point_weights = np.zeros(inside.size, np.float32)
+    point_weights[inside] = weights
+    return mean, variance, point_weights
+
+
+@compiled
+def _inside(points: Array, shape: tuple[int, int]) -> Array:
+    """Tell which points (n,) bool are in an (h, w) region."""
+    inside = np.empty(len(points), np.bool_)
+    for point in range(len(points)):
+        x, y = points[point]
+        inside[point] = -0.5 <= x < shape[1] - 0.5 and -0.5 <= y < shape[0] - 0.5
+    return inside
+
+
+@compiled
+def _evidence(
+    nodes: Array, shares: Array, weights: Array, measured: Array, grid: tuple[int, int],
+    parameters: MotionParameters,
+) -> Array:  # fmt: skip
+    """Return diag(w)/σ_p² + ε and b of the nodes of a grid, (3, gh, gw) float64."""
+    weak = 1.0 / (parameters.prior_std_px**2 * grid[0] * grid[1])
+    return lump(nodes, shares, weights / parameters.point_std_px**2, measured, weak, grid)
+
+
+@compiled
+def _deviation(evidence: Array, parameters: MotionParameters) -> Array:
+    """Return d for some evidence, (2, gh, gw) float64."""
+    factor = factorised(evidence[0], 1.0 / parameters.smoothness_std_px**2)
+    if not len(factor):
+        return np.full_like(evidence[1:], np.nan)
+    return solved(factor, evidence[1:])
 
 
 @compiled

@@ -5,22 +5,23 @@ e > 0 the weight of an edge, s ≥ 0 the screening of each node, positive somewh
 of the Gaussian Markov random field of :mod:`mlbs_actors.motion_field.field`.
 
 With the nodes numbered along the grid's shorter side, all its elements, and those of its Cholesky factor, lie
-within that side's length w of the diagonal: LAPACK factorises it in O(long side · w³). The marginal
-variances, which loopy message passing would not give exactly, are the diagonal of A⁻¹, by selected inversion.
+within that side's length w of the diagonal: a factor takes O(long side · w³). The marginal variances, which
+loopy message passing would not give exactly, are the diagonal of A⁻¹, by selected inversion.
+
+Kernels, as an object has some dozens of nodes: LAPACK's calls took four times as long as their work.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-from mlbs_actors.errors import SolverError
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
 
 __all__ = ["factorised", "inverse_diagonal", "solved"]
 
 
+@compiled
 def factorised(screening: Array, edge: float) -> Array:
     """Compute the Cholesky factor C of A = C Cᵀ.
 
@@ -31,29 +32,30 @@ def factorised(screening: Array, edge: float) -> Array:
 
     Returns
     -------
-    (w + 1, n) float64
-        In LAPACK's lower banded form: element (k, j) is C's element (j + k, j).
-
-    Raises
-    ------
-    SolverError
-        If A is not positive definite in double precision.
+    (n, w + 1) float64
+        Row j holds C's elements (j, j) … (j + w, j). Empty if A is not positive definite in double precision.
     """
-    factor: Array
-    factor, failed = dpbtrf(_banded(_along_shorter_side(screening), edge), lower=1, overwrite_ab=1)
-    if failed:
-        raise SolverError(
-            "A motion field could not be solved; bring the standard deviations of its terms closer together."
-        )
-    return factor
+    band = _banded(_along_shorter_side(screening), edge)
+    size, width = band.shape[0], band.shape[1] - 1
+    for node in range(size):
+        column = band[node]
+        if not column[0] > 0.0:
+            return band[:0]
+        column /= np.sqrt(column[0])
+        for k in range(1, min(width, size - 1 - node) + 1):
+            weight, later = column[k], band[node + k]
+            for i in range(width + 1 - k):
+                later[np.uint64(i)] -= weight * column[np.uint64(k + i)]
+    return band
 
 
+@compiled
 def solved(factor: Array, right: Array) -> Array:
     """Solve A d = b for some right-hand sides.
 
     Parameters
     ----------
-    factor : (w + 1, n) float64
+    factor : (n, w + 1) float64
         Of :func:`factorised`.
     right : (k, rows, columns) float64
         b.
@@ -63,14 +65,25 @@ def solved(factor: Array, right: Array) -> Array:
     (k, rows, columns) float64
         d.
     """
-    count, rows, columns = right.shape
-    numbered = right if rows >= columns else right.transpose(0, 2, 1)
-    solution = dpbtrs(factor, numbered.reshape(count, -1).T, lower=1)[0].T
-    if rows >= columns:
-        return np.ascontiguousarray(solution).reshape(right.shape)
-    return np.ascontiguousarray(solution.reshape(count, columns, rows).transpose(0, 2, 1))
+    size, width = factor.shape[0], factor.shape[1] - 1
+    solution = np.empty_like(right)
+    for one in range(right.shape[0]):
+        values = _along_shorter_side(right[one]).copy().reshape(-1)
+        for node in range(size):
+            column = factor[node]
+            values[node] /= column[0]
+            for k in range(1, min(width, size - 1 - node) + 1):
+                values[np.uint64(node + k)] -= column[np.uint64(k)] * values[node]
+        for node in range(size - 1, -1, -1):
+            column, total = factor[node], values[node]
+            for k in range(1, min(width, size - 1 - node) + 1):
+                total -= column[np.uint64(k)] * values[np.uint64(node + k)]
+            values[node] = total / column[0]
+        solution[one] = _as_before(values, right.shape[1], right.shape[2])
+    return solution
 
 
+@compiled
 def inverse_diagonal(factor: Array, shape: tuple[int, int]) -> Array:
     """Compute the diagonal of A⁻¹.
 
@@ -80,7 +93,7 @@ def inverse_diagonal(factor: Array, shape: tuple[int, int]) -> Array:
 
     Parameters
     ----------
-    factor : (w + 1, n) float64
+    factor : (n, w + 1) float64
         Of :func:`factorised`.
     shape : (rows, columns)
         Of the grid.
@@ -89,34 +102,41 @@ def inverse_diagonal(factor: Array, shape: tuple[int, int]) -> Array:
     -------
     (rows, columns) float64
     """
-    diagonal = _inverse_diagonal(np.ascontiguousarray((factor / factor[0]).T), factor[0] ** 2)
-    rows, columns = shape
-    return (
-        diagonal.reshape(shape)
-        if rows >= columns
-        else np.ascontiguousarray(diagonal.reshape(columns, rows).T)
-    )
+    lower = np.empty_like(factor)
+    for node in range(len(factor)):
+        lower[node] = factor[node] / factor[node, 0]
+    return _as_before(_inverse_diagonal(lower, factor[:, 0] ** 2), shape[0], shape[1])
 
 
+@compiled
 def _along_shorter_side(values: Array) -> Array:
     """Orient a map so that its rows are the grid's shorter side."""
     return values if values.shape[0] >= values.shape[1] else np.ascontiguousarray(values.T)
 
 
 @compiled
+def _as_before(values: Array, rows: int, columns: int) -> Array:
+    """Return values (n,) of nodes along the shorter side as a map of the grid."""
+    if rows >= columns:
+        return values.reshape(rows, columns)
+    return np.ascontiguousarray(values.reshape(columns, rows).T)
+
+
+@compiled
 def _banded(screening: Array, edge: float) -> Array:
-    """Return A in LAPACK's lower banded form, of a grid whose rows are its shorter side."""
+    """Return A's diagonal and what is below it, as :func:`factorised`, of a grid whose rows are its shorter
+    side."""
     rows, width = screening.shape
-    band = np.zeros((rows * width, width + 1)).T  # Fortran order, as LAPACK takes it
+    band = np.zeros((rows * width, width + 1))
     for v in range(rows):
         for u in range(width):
             node = v * width + u
             neighbours = (v > 0) + (v + 1 < rows) + (u > 0) + (u + 1 < width)
-            band[0, node] = screening[v, u] + edge * neighbours
+            band[node, 0] = screening[v, u] + edge * neighbours
             if u + 1 < width:
-                band[1, node] = -edge
+                band[node, 1] = -edge
             if v + 1 < rows:
-                band[width, node] = -edge  # the same element where a row has one node
+                band[node, width] = -edge  # the same element where a row has one node
     return band
 
 

@@ -171,12 +171,20 @@ def _touching(proposals: Proposals) -> Iterator[tuple[Array, Region]]:
         yield own, Region(left, top, right - left, bottom - top)
 
 
+@compiled
 def _object_tracks(positions: Array, proposals: Proposals, own: Array) -> Array:
     """Return row, column and label of the trajectories of some layers but the first, the background."""
-    spans = [(proposals.ids[one], *proposals.tracks[one]) for one in own[1:]]
-    places = [np.rint(positions[start:end, ::-1]).astype(np.int64) for _, start, end in spans]
-    labels = [np.full(end - start, label, np.int64) for label, start, end in spans]
-    return np.column_stack([np.concatenate(places), np.concatenate(labels)])
+    count = 0
+    for one in own[1:]:
+        count += proposals.tracks[one, 1] - proposals.tracks[one, 0]
+    tracks, written = np.empty((count, 3), np.int64), 0
+    for one in own[1:]:
+        for track in range(proposals.tracks[one, 0], proposals.tracks[one, 1]):
+            tracks[written, 0] = np.int64(np.rint(positions[track, 1]))
+            tracks[written, 1] = np.int64(np.rint(positions[track, 0]))
+            tracks[written, 2] = proposals.ids[one]
+            written += 1
+    return tracks
 
 
 def _energy(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from mlbs_actors.motion_field.field import MotionParameters, motion_field
 from mlbs_actors.motion_field.node_grid import grid_shape, node_positions
 
 PLAIN = MotionParameters(robust_rounds=0)
-SAME_GRID = replace(PLAIN, variance_spacing_px=PLAIN.spacing_px)
+SAME_GRID = PLAIN._replace(variance_spacing_px=PLAIN.spacing_px)
 
 
 def dense_model(
@@ -167,7 +165,7 @@ def test_the_coarse_variance_is_near_that_of_the_mean_s_own_grid(
     for count in (20, 400):
         positions, motions = scattered(count, (160, 240), 4)
         exact = motion_field(positions, motions, (160, 240), np.zeros(2), SAME_GRID).dense_variance()
-        parameters = replace(PLAIN, variance_spacing_px=spacing)
+        parameters = PLAIN._replace(variance_spacing_px=spacing)
         coarse = motion_field(positions, motions, (160, 240), np.zeros(2), parameters).dense_variance()
         error = np.abs(coarse / exact - 1)
         assert np.median(error) < median
@@ -190,7 +188,7 @@ def test_evidence_that_is_not_finite_is_refused() -> None:
 def test_the_field_at_cells_is_the_mean_of_their_pixels(side: int) -> None:
     rng = np.random.default_rng(4)
     positions = rng.uniform(0, 40, (30, 2))
-    parameters = replace(PLAIN, spacing_px=6, variance_spacing_px=12)
+    parameters = PLAIN._replace(spacing_px=6, variance_spacing_px=12)
     field = motion_field(positions, rng.normal(0, 1, (30, 2)), (36, 42), np.zeros(2), parameters)
     expected = field.dense().reshape(36 // side, side, 42 // side, side, 2).mean(axis=(1, 3))
     np.testing.assert_allclose(field.dense(side), expected, atol=0.1)
