@@ -13,8 +13,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
+from mlbs_actors.source import FrameReader, SourceFrame, SourceSilence
 from orchestrator.events.scene import resizing
 from orchestrator.sinks.record import StreamRecord
 

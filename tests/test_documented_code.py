@@ -16,8 +16,8 @@ from paced_camera import PacedCamera
 from record_fakes import write_run
 
 from mlbs_actors import MultilayerSubtractor
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Array
+from mlbs_actors.source import SourceFrame
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.synthetic import scene

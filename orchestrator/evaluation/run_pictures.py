@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
+from mlbs_actors.source import SourceFrame
 from orchestrator.evaluation.disturbed_sequences import ChangedSequence
 from orchestrator.evaluation.sequences import Sequence
 from orchestrator.export.replay import replayed

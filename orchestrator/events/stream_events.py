@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.source import SourceFrame
 from orchestrator.events.event_file import EventFile
 from orchestrator.events.pictures import EventPictures
 from orchestrator.events.scene import VIEWS, SceneTracker

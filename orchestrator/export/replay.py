@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.inspection import FrameInspection
 from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.source import SourceFrame
 from mlbs_actors.subtractor import MultilayerSubtractor
 from orchestrator.export.recorded_stream import RecordedFrame
 from orchestrator.sources.address import SourceKind, parse_address

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from mlbs_actors.actors.stream.protocol import GapStatus
 from mlbs_actors.messages import Array, FrameStatus, LayerSummary, Region, Segmentation
+from mlbs_actors.source import GapStatus
 from orchestrator.rows.scene_place import ScenePlace
 
 __all__ = ["FrameRow", "ResultRow", "run_length_code"]

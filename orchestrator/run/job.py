@@ -7,8 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mlbs_actors.actors.stream.protocol import FrameReader, StreamSpec
+from mlbs_actors.actors.stream.protocol import StreamSpec
 from mlbs_actors.config import Config
+from mlbs_actors.source import FrameReader
 from orchestrator.command_line import Arguments
 from orchestrator.credentials import mask
 from orchestrator.events.zones import EventRules

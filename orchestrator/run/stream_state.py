@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-from mlbs_actors.actors.stream.protocol import SourceSilence, StreamProgress
+from mlbs_actors.actors.stream.protocol import StreamProgress
+from mlbs_actors.source import SourceSilence
 from mlbs_actors.wording import count_of
 from orchestrator.credentials import mask
 

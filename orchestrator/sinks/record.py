@@ -20,9 +20,10 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, SourceFrame
+from mlbs_actors.actors.stream.protocol import Opening, Snapshot
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
+from mlbs_actors.source import GapStatus, SourceFrame
 from orchestrator.events.stream_events import StreamEvents
 from orchestrator.events.zones import EventRules
 from orchestrator.rows.frame_row import FrameRow, ResultRow

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.errors import SourceError
+from mlbs_actors.source import SourceFrame
 from mlbs_actors.wording import count_of
 from orchestrator.sources.images import FRAME_RATE
 

@@ -17,8 +17,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from mlbs_actors.actors.stream.protocol import SourceFrame, SourceStatus
 from mlbs_actors.messages import Array
+from mlbs_actors.source import SourceFrame, SourceStatus
 from orchestrator.sources.presence import images_of
 from orchestrator.sources.value_range import ValueRange
 

@@ -19,8 +19,8 @@ import av
 import av.error
 import av.logging
 
-from mlbs_actors.actors.stream.protocol import SourceFrame, SourceSilence
 from mlbs_actors.errors import SourceError
+from mlbs_actors.source import SourceFrame, SourceSilence
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import open_video, reason, upright_bgr
 from orchestrator.sources.live_buffer import (

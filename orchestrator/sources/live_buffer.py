@@ -12,8 +12,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mlbs_actors.actors.stream.protocol import SourceFrame, SourceStatus
 from mlbs_actors.messages import Array
+from mlbs_actors.source import SourceFrame, SourceStatus
 
 __all__ = ["LONGEST_RETRY_SECONDS", "STALL_SECONDS", "LiveBuffer", "LiveTime", "Picture", "retry_seconds"]
 

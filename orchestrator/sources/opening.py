@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame
+from mlbs_actors.source import FrameReader, SourceFrame
 from orchestrator.sources.address import SourceAddress, SourceKind
 from orchestrator.sources.animation import AnimationReader, is_animation
 from orchestrator.sources.images import FRAME_RATE, ImageSequenceReader

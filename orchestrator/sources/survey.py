@@ -15,8 +15,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.errors import MlbsError
+from mlbs_actors.source import SourceFrame
 from orchestrator.module_path import PACKAGE_ROOT
 from orchestrator.sources.address import SourceAddress, parse_address
 from orchestrator.sources.opening import open_reader

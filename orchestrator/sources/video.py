@@ -14,9 +14,9 @@ import av.error
 import av.logging
 from av.video.frame import VideoFrame
 
-from mlbs_actors.actors.stream.protocol import SourceFrame, SourceStatus
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
+from mlbs_actors.source import SourceFrame, SourceStatus
 from mlbs_actors.wording import count_of
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import open_video, reason, upright_bgr

@@ -22,14 +22,9 @@ from thread_host import die, hang, pause, process_id
 
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
 from mlbs_actors.actors.stream.protocol import (
-    FrameReader,
-    GapStatus,
     Opening,
     RunningStream,
     Snapshot,
-    SourceFrame,
-    SourceSilence,
-    SourceStatus,
     StreamProgress,
     StreamSink,
     StreamSpec,
@@ -46,6 +41,7 @@ from mlbs_actors.messages import (
     Region,
     Segmentation,
 )
+from mlbs_actors.source import FrameReader, GapStatus, SourceFrame, SourceSilence, SourceStatus
 
 #: Marks of a test, or of a case, that starts or uses the session of Ray: all are left to one process.
 ON_RAY = (pytest.mark.ray, pytest.mark.xdist_group("ray"))

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.messages import LayerSummary, Region, Segmentation
+from mlbs_actors.source import SourceFrame
 from orchestrator.run.run_folder import RunFolder, RunSettings, StatusFile, describe_run
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState

@@ -6,14 +6,9 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 
-from mlbs_actors.actors.stream.protocol import (
-    SourceFrame,
-    SourcePosition,
-    SourceSilence,
-    SourceStatus,
-    StreamProgress,
-)
+from mlbs_actors.actors.stream.protocol import StreamProgress
 from mlbs_actors.messages import Segmentation
+from mlbs_actors.source import SourceFrame, SourcePosition, SourceSilence, SourceStatus
 
 __all__ = ["StreamAccount"]
 

@@ -41,13 +41,7 @@ from mlbs_actors.actors.stream.account import StreamAccount
 from mlbs_actors.actors.stream.layers_at_work import AssignedProcess
 from mlbs_actors.actors.stream.live_layers import LiveLayers
 from mlbs_actors.actors.stream.live_reader import LiveReadAhead
-from mlbs_actors.actors.stream.protocol import (
-    Snapshot,
-    SourceFrame,
-    SourceSilence,
-    StreamProgress,
-    StreamSpec,
-)
+from mlbs_actors.actors.stream.protocol import Snapshot, StreamProgress, StreamSpec
 from mlbs_actors.actors.stream.reader import ReadAhead
 from mlbs_actors.actors.stream.saved_states import (
     CONDUCTOR_FILE,
@@ -63,6 +57,7 @@ from mlbs_actors.actors.stream.sink import Record
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import ActorLostError, MlbsError
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation
+from mlbs_actors.source import SourceFrame, SourceSilence
 from mlbs_actors.state_file import read_state
 
 __all__ = ["CoordinatorActor", "StreamLinks"]

@@ -20,9 +20,9 @@ from mlbs_actors.actors.ipc.shared_memory import SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import get
-from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourcePosition, SourceSilence
 from mlbs_actors.actors.stream.reader import LEAST_ASKED, Answer, ReadAhead, ReadNext, answer
 from mlbs_actors.determinism import limit_process
+from mlbs_actors.source import FrameReader, SourceFrame, SourcePosition, SourceSilence
 
 __all__ = ["MOST_PICTURES", "Forget", "FrameRing", "LiveReadAhead", "LiveReaderActor"]
 

@@ -21,9 +21,9 @@ from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, Slo
 from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import NOTICE_SECONDS, get
-from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame, SourceSilence
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.pickling import pickled_by_values
+from mlbs_actors.source import FrameReader, SourceFrame, SourceSilence
 
 __all__ = ["LEAST_ASKED", "Answer", "ReadAhead", "ReadNext", "ReaderActor", "Skip", "answer"]
 

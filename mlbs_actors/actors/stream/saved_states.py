@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 
-from mlbs_actors.actors.stream.protocol import SourceFrame, SourcePosition, SourceStatus
 from mlbs_actors.messages import LayerKind, Segmentation
+from mlbs_actors.source import SourceFrame, SourcePosition, SourceStatus
 from mlbs_actors.state_file import CapturedState, capture
 
 __all__ = [

@@ -19,7 +19,6 @@ from mlbs_actors.actors.node.processes import get
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layers_at_work import AssignedProcess, LayersAtWork, SharedEvidence
 from mlbs_actors.actors.stream.order import FrameOrder
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.actors.stream.saved_states import (
     PUBLISHED_FILE,
     SEGMENTER_FILE,
@@ -40,6 +39,7 @@ from mlbs_actors.messages import (
     readonly,
 )
 from mlbs_actors.pickling import pickled_by_values
+from mlbs_actors.source import SourceFrame
 from mlbs_actors.state_file import read_state
 
 __all__ = ["FrameWork", "LabelledFrame", "Labelling", "Retirement", "SegmenterActor"]

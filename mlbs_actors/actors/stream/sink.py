@@ -15,19 +15,13 @@ from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.process_memory import settle_memory
 from mlbs_actors.actors.node.processes import get, is_answered
 from mlbs_actors.actors.stream.order import FrameOrder
-from mlbs_actors.actors.stream.protocol import (
-    GapStatus,
-    Opening,
-    Snapshot,
-    SourceFrame,
-    StreamSink,
-    StreamSpec,
-)
+from mlbs_actors.actors.stream.protocol import Opening, Snapshot, StreamSink, StreamSpec
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
 from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.segmentation.attached_parts import join_parts
+from mlbs_actors.source import GapStatus, SourceFrame
 
 __all__ = ["GapRow", "LabelRow", "Record", "SinkActor"]
 

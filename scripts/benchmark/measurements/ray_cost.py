@@ -17,7 +17,8 @@ from benchmark.through_ray.endless_video import EndlessReader
 from benchmark.through_ray.pipeline import Arrival, SteadyWindow, pipeline, record_in
 from benchmark.through_ray.process_costs import cpu_growth, sum_by_kind
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.stream.protocol import FrameReader, StreamSink
+from mlbs_actors.actors.stream.protocol import StreamSink
+from mlbs_actors.source import FrameReader
 from orchestrator.evaluation.figures import format_number, format_table
 
 __all__ = [

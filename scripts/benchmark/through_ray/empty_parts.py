@@ -13,7 +13,7 @@ import numpy as np
 
 from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, SegmenterPart
-from mlbs_actors.actors.stream.protocol import GapStatus, Opening, Snapshot, SourceFrame
+from mlbs_actors.actors.stream.protocol import Opening, Snapshot
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
@@ -24,6 +24,7 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 from mlbs_actors.segmentation.segmenter import Segmenter
+from mlbs_actors.source import GapStatus, SourceFrame
 
 __all__ = ["EmptyParts", "EmptyReader", "EmptySink", "FrameMessages", "last_messages"]
 

@@ -10,8 +10,8 @@ import av
 import numpy as np
 from av.video.frame import VideoFrame
 
-from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame
 from mlbs_actors.messages import Array
+from mlbs_actors.source import FrameReader, SourceFrame
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.opening import open_reader
 

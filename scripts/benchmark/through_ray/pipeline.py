@@ -24,7 +24,8 @@ from benchmark.through_ray.recording_parts import SPARE, RecordingParts, Recordi
 from mlbs_actors import Config
 from mlbs_actors.actors import Node, StreamActors
 from mlbs_actors.actors.parts import EngineParts, PartFactory
-from mlbs_actors.actors.stream.protocol import FrameReader, StreamProgress, StreamSink, StreamSpec
+from mlbs_actors.actors.stream.protocol import StreamProgress, StreamSink, StreamSpec
+from mlbs_actors.source import FrameReader
 from orchestrator.command_options import SAVED
 from orchestrator.ray_session import ray_session
 from orchestrator.sinks.record import StreamRecord

@@ -14,7 +14,7 @@ from typing import Any
 
 from mlbs_actors import Config
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
-from mlbs_actors.actors.stream.protocol import GapStatus, Snapshot, SourceFrame, StreamSink
+from mlbs_actors.actors.stream.protocol import Snapshot, StreamSink
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
@@ -23,6 +23,7 @@ from mlbs_actors.messages import (
     LayerPosterior,
     Segmentation,
 )
+from mlbs_actors.source import GapStatus, SourceFrame
 
 __all__ = ["SPARE", "RecordingParts", "RecordingSink"]
 

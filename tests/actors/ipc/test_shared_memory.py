@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, SlotPool
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.errors import ActorLostError, LayerError
 from mlbs_actors.messages import Array, LayerEvidence
+from mlbs_actors.source import SourceFrame
 from mlbs_actors.state_file import capture
 
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from mlbs_actors import Segmentation
 from mlbs_actors.actors.stream.account import StreamAccount
-from mlbs_actors.actors.stream.protocol import SourceFrame, SourceSilence, StreamProgress
+from mlbs_actors.actors.stream.protocol import StreamProgress
 from mlbs_actors.messages import LayerSummary, Region
+from mlbs_actors.source import SourceFrame, SourceSilence
 
 
 def frame(index: int, status: str = "ok", length: int | None = None) -> SourceFrame:

@@ -19,9 +19,9 @@ import pytest
 from camera_server import camera, free_port, needs_rtsp_server
 from http_camera import PICTURES, http_camera
 
-from mlbs_actors.actors.stream.protocol import SourceFrame, SourceSilence
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
+from mlbs_actors.source import SourceFrame, SourceSilence
 from orchestrator.sources import live
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.libav import reason

@@ -20,18 +20,11 @@ from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, SlotPool
 from mlbs_actors.actors.node.processes import end
 from mlbs_actors.actors.stream import live_reader as live_reader_module
 from mlbs_actors.actors.stream.live_reader import FrameRing, LiveReaderActor
-from mlbs_actors.actors.stream.protocol import (
-    FrameReader,
-    Snapshot,
-    SourceFrame,
-    SourcePosition,
-    SourceSilence,
-    SourceStatus,
-    StreamSpec,
-)
+from mlbs_actors.actors.stream.protocol import Snapshot, StreamSpec
 from mlbs_actors.actors.stream.reader import ReadNext
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
+from mlbs_actors.source import FrameReader, SourceFrame, SourcePosition, SourceSilence, SourceStatus
 from mlbs_actors.state_file import capture
 from orchestrator.interruption import Interruption
 from orchestrator.run.admission import by_count

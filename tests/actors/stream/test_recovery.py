@@ -29,9 +29,10 @@ from PIL import Image
 
 from mlbs_actors.actors import Node, PoolPolicy
 from mlbs_actors.actors.node.processes import end
-from mlbs_actors.actors.stream.protocol import Snapshot, SourceFrame, StreamSpec
+from mlbs_actors.actors.stream.protocol import Snapshot, StreamSpec
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
+from mlbs_actors.source import SourceFrame
 from mlbs_actors.state_file import capture
 from orchestrator.interruption import Interruption
 from orchestrator.run import driver as driver_module

@@ -11,8 +11,8 @@ from typing import Any
 
 from chaos.harness.observed_run import content
 from mlbs_actors import MultilayerSubtractor
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.source import SourceFrame
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import SourceAddress, parse_address
 from orchestrator.sources.opening import open_reader

@@ -24,8 +24,8 @@ from chaos.harness.scenario import (
     expect_identical,
     single_fault,
 )
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Array
+from mlbs_actors.source import SourceFrame
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.opening import open_reader
 from orchestrator.sources.synthetic import scene

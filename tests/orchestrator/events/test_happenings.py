@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from true_results import true_result
 
-from mlbs_actors.actors.stream.protocol import GapStatus
 from mlbs_actors.messages import Array
+from mlbs_actors.source import GapStatus
 from orchestrator.events.happenings import Event, Happenings
 from orchestrator.events.zones import EventRules, Minimum, Zone
 from orchestrator.rows.frame_row import FrameRow, ResultRow

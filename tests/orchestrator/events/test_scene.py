@@ -13,8 +13,8 @@ import pytest
 from true_results import true_result
 
 from mlbs_actors import MultilayerSubtractor
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.source import SourceFrame
 from orchestrator.events.scene import SceneTracker, resizing
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.rows.scene_place import ScenePlace

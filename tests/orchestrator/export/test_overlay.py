@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from record_fakes import HEIGHT, WIDTH, segmentation, write_run
 
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
+from mlbs_actors.source import SourceFrame
 from orchestrator.export.__main__ import main
 from orchestrator.run.run_folder import RunFolder, RunSettings, describe_run
 from orchestrator.run.stream_list import ListedStream

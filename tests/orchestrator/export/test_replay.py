@@ -8,7 +8,7 @@ import cv2
 import pytest
 
 from mlbs_actors import Config, MultilayerSubtractor
-from mlbs_actors.actors.stream.protocol import SourceFrame
+from mlbs_actors.source import SourceFrame
 from orchestrator.export.recorded_stream import recorded_stream
 from orchestrator.export.replay import inspected
 from orchestrator.sinks.record import StreamRecord

@@ -11,10 +11,10 @@ import pytest
 from record_fakes import write_stream
 
 from mlbs_actors import Config, MultilayerSubtractor
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.inspection import FrameInspection, LayerInspection
 from mlbs_actors.messages import Region
 from mlbs_actors.motion_field.field import MotionParameters, motion_field
+from mlbs_actors.source import SourceFrame
 from orchestrator.export.__main__ import main
 from orchestrator.export.recorded_stream import RecordedFrame
 from orchestrator.export.replay import InspectedFrame

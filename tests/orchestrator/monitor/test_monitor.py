@@ -18,8 +18,9 @@ import pytest
 from chromium import open_page
 from record_fakes import frame, segmentation
 
-from mlbs_actors.actors.stream.protocol import SourceSilence, StreamProgress
+from mlbs_actors.actors.stream.protocol import StreamProgress
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.source import SourceSilence
 from orchestrator.events.delivery import Backlog
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress

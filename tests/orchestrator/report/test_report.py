@@ -15,8 +15,8 @@ import pytest
 from chromium import open_page
 from record_fakes import EVERYTHING, HEIGHT, WIDTH, frame, segmentation, write_run, write_stream
 
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.messages import Region, Segmentation
+from mlbs_actors.source import SourceFrame
 from orchestrator.report.__main__ import main
 from orchestrator.report.charts import object_count_chart, timeline_chart
 from orchestrator.report.history import frame_ranges, read_history

@@ -13,9 +13,10 @@ from itertools import count
 
 import pytest
 
-from mlbs_actors.actors.stream.protocol import RunningStream, SourceSilence, StreamProgress, StreamSpec
+from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ActorLostError, NoPlaceError, SourceError
+from mlbs_actors.source import SourceSilence
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.run import driver as driver_module
 from orchestrator.run.admission import by_count

@@ -12,9 +12,9 @@ import pytest
 from record_fakes import segmentation
 from sounding_video import FRAME_RATE, write_sounding_video
 
-from mlbs_actors.actors.stream.protocol import SourceFrame
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
+from mlbs_actors.source import SourceFrame
 from orchestrator.export.recorded_stream import recorded_stream
 from orchestrator.run.run_folder import RunFolder, RunSettings, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list

@@ -11,7 +11,7 @@ import pytest
 from record_fakes import write_run
 from sounding_video import FRAME_RATE, RATE, heard, write_sounding_video
 
-from mlbs_actors.actors.stream.protocol import SourceFrame
+from mlbs_actors.source import SourceFrame
 from orchestrator.report.page import render_report
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.overlay import OverlayVideo

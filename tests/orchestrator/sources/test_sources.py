@@ -18,9 +18,9 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from PIL import Image
 
-from mlbs_actors.actors.stream.protocol import FrameReader, SourceFrame
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
+from mlbs_actors.source import FrameReader, SourceFrame
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.images import FRAME_RATE, decode_image
 from orchestrator.sources.opening import open_reader
