@@ -18,7 +18,8 @@ from labelled_clip import LabelledClip
 from thread_host import threads
 from whole_run import FinishedRun, run_mixed_sources
 
-from mlbs_actors.actors import Node, PoolPolicy
+from mlbs_actors.actors.node.pool import PoolPolicy
+from mlbs_actors.actors.pipeline import Node
 
 _OBJECT_STORE_BYTES = 100_000_000
 

@@ -1,7 +1,7 @@
-"""The engine on Ray: thin shells around its parts, one process a part, one a layer."""
+"""The engine on Ray: thin shells around its parts, one process a part, one a layer.
 
-from mlbs_actors.actors.node.cluster import Cluster
-from mlbs_actors.actors.node.pool import PoolCensus, PoolPolicy
-from mlbs_actors.actors.pipeline import Node, StreamActors
+``pipeline`` starts the streams of one node, ``node.cluster`` those of many. ``stream`` has the processes of a
+stream, ``node`` those of a node, ``ipc`` how they communicate; the shells know the engine through ``parts``.
 
-__all__ = ["Cluster", "Node", "PoolCensus", "PoolPolicy", "StreamActors"]
+Nothing is imported here: ``stream.protocol``, the interface to the orchestrator, needs no Ray.
+"""

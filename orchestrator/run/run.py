@@ -10,9 +10,11 @@ from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from functools import partial
 from pathlib import Path
 
-from mlbs_actors.actors import Cluster, Node, PoolPolicy
+from mlbs_actors.actors.node.cluster import Cluster
 from mlbs_actors.actors.node.memory import NodeMemory, node_memory
+from mlbs_actors.actors.node.pool import PoolPolicy
 from mlbs_actors.actors.node.reservation import Share
+from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError

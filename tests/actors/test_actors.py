@@ -34,11 +34,13 @@ from actor_fakes import (
 )
 
 from mlbs_actors import Config, MultilayerSubtractor
-from mlbs_actors.actors import Node, PoolPolicy, pipeline
+from mlbs_actors.actors import pipeline
 from mlbs_actors.actors.ipc.shared_memory import Slot, SlotKind, SlotPool
 from mlbs_actors.actors.node.burst_limiter import BurstLimiter
+from mlbs_actors.actors.node.pool import PoolPolicy
 from mlbs_actors.actors.node.processes import end, get, here, spawn
 from mlbs_actors.actors.parts import CoordinatorPart
+from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress
 from mlbs_actors.actors.stream.sink import GapRow, SinkActor

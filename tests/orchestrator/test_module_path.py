@@ -1,4 +1,4 @@
-"""Where the modules of a run come from."""
+"""Where the modules of a run come from, and which of them need Ray."""
 
 from __future__ import annotations
 
@@ -45,3 +45,12 @@ def test_a_checkout_that_is_not_installed_is_found_from_its_own_folder() -> None
         [sys.executable, "-S", "-c", program], cwd=PACKAGE_ROOT, capture_output=True, text=True, check=True
     )
     assert ended.stdout.strip() == PACKAGE_ROOT
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["command", "disk_use", "evaluation.command", "export.__main__", "report.__main__", "sources.survey"],
+)
+def test_ray_is_imported_only_to_run_streams(module: str) -> None:
+    code = f"import sys, orchestrator.{module}; sys.exit('ray' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

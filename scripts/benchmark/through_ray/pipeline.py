@@ -22,8 +22,8 @@ from tempfile import TemporaryDirectory
 from benchmark.through_ray.process_costs import Process, kinds_of, private_bytes, process_tree
 from benchmark.through_ray.recording_parts import SPARE, RecordingParts, RecordingSink
 from mlbs_actors import Config
-from mlbs_actors.actors import Node, StreamActors
 from mlbs_actors.actors.parts import EngineParts, PartFactory
+from mlbs_actors.actors.pipeline import Node, StreamActors
 from mlbs_actors.actors.stream.protocol import StreamProgress, StreamSink, StreamSpec
 from mlbs_actors.source import FrameReader
 from orchestrator.command_options import SAVED

@@ -27,13 +27,13 @@ from actor_fakes import (
 from ray.exceptions import RayActorError
 from thread_host import hang, process_id
 
-from mlbs_actors.actors import Node, PoolCensus, PoolPolicy
 from mlbs_actors.actors.ipc.channels import connect
 from mlbs_actors.actors.ipc.shared_memory import SharedMemory, SlotPool
 from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory
-from mlbs_actors.actors.node.pool import PoolActor
+from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
 from mlbs_actors.actors.node.processes import end, get, here, identity, kill, spawn, wait
+from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream.layer_actor import LayerStart, LayerStep
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.errors import ActorLostError, LayerError

@@ -15,9 +15,9 @@ from actor_fakes import CONFIG, FakeParts, picture, rows_in_one_process, wait_un
 from test_recovery import as_rows, started, take
 from thread_host import die, pause
 
-from mlbs_actors.actors import Node
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, SlotPool
 from mlbs_actors.actors.node.processes import end
+from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream import live_reader as live_reader_module
 from mlbs_actors.actors.stream.live_reader import FrameRing, LiveReaderActor
 from mlbs_actors.actors.stream.protocol import Snapshot, StreamSpec

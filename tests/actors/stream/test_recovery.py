@@ -27,8 +27,9 @@ from actor_fakes import (
 )
 from PIL import Image
 
-from mlbs_actors.actors import Node, PoolPolicy
+from mlbs_actors.actors.node.pool import PoolPolicy
 from mlbs_actors.actors.node.processes import end
+from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream.protocol import Snapshot, StreamSpec
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
