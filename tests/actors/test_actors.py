@@ -41,9 +41,10 @@ from mlbs_actors.actors.node.pool import PoolPolicy
 from mlbs_actors.actors.node.processes import end, get, here, spawn
 from mlbs_actors.actors.parts import CoordinatorPart
 from mlbs_actors.actors.pipeline import Node
+from mlbs_actors.actors.stream.messages import GapRow
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress
-from mlbs_actors.actors.stream.sink import GapRow, SinkActor
+from mlbs_actors.actors.stream.sink import SinkActor
 from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceError
 from mlbs_actors.messages import Array
 from mlbs_actors.source import SourceFrame, SourceSilence, SourceStatus

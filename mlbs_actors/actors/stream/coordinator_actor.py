@@ -38,9 +38,9 @@ from mlbs_actors.actors.node.processes import NOTICE_SECONDS, get, identity, wai
 from mlbs_actors.actors.node.usage import StreamUsage
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.account import StreamAccount
-from mlbs_actors.actors.stream.layers_at_work import AssignedProcess
 from mlbs_actors.actors.stream.live_layers import LiveLayers
 from mlbs_actors.actors.stream.live_reader import LiveReadAhead
+from mlbs_actors.actors.stream.messages import AssignedProcess, FrameWork
 from mlbs_actors.actors.stream.protocol import Snapshot, StreamProgress, StreamSpec
 from mlbs_actors.actors.stream.reader import ReadAhead
 from mlbs_actors.actors.stream.saved_states import (
@@ -52,7 +52,7 @@ from mlbs_actors.actors.stream.saved_states import (
     StateWriter,
     layer_file,
 )
-from mlbs_actors.actors.stream.segmenter_actor import FrameWork, Labelling
+from mlbs_actors.actors.stream.segmenter_actor import Labelling
 from mlbs_actors.actors.stream.sink import Record
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import ActorLostError, MlbsError

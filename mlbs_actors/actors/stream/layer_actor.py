@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from mlbs_actors.actors.ipc.channels import ChannelAddress, ChannelListener
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot
@@ -12,47 +11,16 @@ from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.priority import stepping_back
 from mlbs_actors.actors.node.process_memory import settle_memory
 from mlbs_actors.actors.parts import LayerPart, PartFactory
+from mlbs_actors.actors.stream.messages import LayerStart, LayerStep, SaveState
 from mlbs_actors.actors.stream.order import FrameOrder
-from mlbs_actors.actors.stream.saved_states import SavedLayer, SaveState, StateWriter, layer_file
+from mlbs_actors.actors.stream.saved_states import SavedLayer, StateWriter, layer_file
 from mlbs_actors.config import Config
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import LayerError
 from mlbs_actors.messages import FrameEvidence, LayerAppearance, LayerPosterior, Segmentation
-from mlbs_actors.pickling import pickled_by_values
-from mlbs_actors.state_file import CapturedState, capture
+from mlbs_actors.state_file import capture
 
-__all__ = ["LayerActor", "LayerStart", "LayerStep", "LayerWork"]
-
-
-@pickled_by_values
-@dataclass(frozen=True, slots=True)
-class LayerStart:
-    """Assigns a layer to a process, with the state of its part."""
-
-    own: SavedLayer
-    state: Shared[CapturedState]
-
-
-@pickled_by_values
-@dataclass(frozen=True, slots=True)
-class LayerStep:
-    """Asks a layer to process a frame.
-
-    Attributes
-    ----------
-    evidence : Shared
-    previous : Shared, optional
-        Published result of the frame before; None if there is none.
-    answer : Slot
-        For the posterior.
-    appearance : Slot, optional
-        For the remembered colours after that; None if not wanted.
-    """
-
-    evidence: Shared[FrameEvidence]
-    previous: Shared[Segmentation] | None
-    answer: Slot
-    appearance: Slot | None
+__all__ = ["LayerActor", "LayerWork"]
 
 
 class LayerWork:

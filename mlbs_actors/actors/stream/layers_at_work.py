@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mlbs_actors.actors.ipc.channels import Channel, ChannelAddress, connect
+from mlbs_actors.actors.ipc.channels import Channel, connect
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.stream.layer_actor import LayerStep, LayerWork
-from mlbs_actors.actors.stream.saved_states import SavedLayer, SaveState, layer_file
+from mlbs_actors.actors.stream.layer_actor import LayerWork
+from mlbs_actors.actors.stream.messages import AssignedProcess, LayerStep, SaveState
+from mlbs_actors.actors.stream.saved_states import SavedLayer, layer_file
 from mlbs_actors.config import Config
 from mlbs_actors.messages import (
     BACKGROUND,
@@ -25,10 +26,9 @@ from mlbs_actors.messages import (
     Segmentation,
     readonly,
 )
-from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.state_file import read_state
 
-__all__ = ["AssignedProcess", "LayersAtWork", "SharedEvidence"]
+__all__ = ["LayersAtWork", "SharedEvidence"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,25 +48,6 @@ class SharedEvidence:
     previous: Segmentation | None
     where_evidence: Shared[FrameEvidence]
     where_previous: Shared[Segmentation] | None
-
-
-@pickled_by_values
-@dataclass(frozen=True, slots=True)
-class AssignedProcess:
-    """A process newly assigned to a layer.
-
-    Attributes
-    ----------
-    layer : int
-    address : ChannelAddress
-        Of the process.
-    state : Slot
-        For moving the layer's state there.
-    """
-
-    layer: int
-    address: ChannelAddress
-    state: Slot
 
 
 class LayersAtWork:

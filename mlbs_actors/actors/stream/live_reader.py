@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from ray.exceptions import GetTimeoutError
 
@@ -20,11 +20,12 @@ from mlbs_actors.actors.ipc.shared_memory import SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import get
-from mlbs_actors.actors.stream.reader import LEAST_ASKED, Answer, ReadAhead, ReadNext, answer
+from mlbs_actors.actors.stream.messages import Forget, ReaderAnswer, ReadNext
+from mlbs_actors.actors.stream.reader import LEAST_ASKED, ReadAhead, answer
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.source import FrameReader, SourceFrame, SourcePosition, SourceSilence
 
-__all__ = ["MOST_PICTURES", "Forget", "FrameRing", "LiveReadAhead", "LiveReaderActor"]
+__all__ = ["MOST_PICTURES", "FrameRing", "LiveReadAhead", "LiveReaderActor"]
 
 #: Pictures that are kept, enough for the time between two snapshots. At 1920×1080 that is 400 MB.
 MOST_PICTURES = 64
@@ -82,13 +83,6 @@ class FrameRing:
         self._pictures -= self._rows.popleft().image is not None
 
 
-@dataclass(frozen=True, slots=True)
-class Forget:
-    """Reports to a live reader that rows before this number will not be read again."""
-
-    rows: int
-
-
 class LiveReaderActor:
     """Reads a live source for successive starts of its stream.
 
@@ -120,7 +114,7 @@ class LiveReaderActor:
         """Answer that start until its channel is closed; raises SourceError."""
         self._channel.serve(self._answers)
 
-    def read(self, message: ReadNext) -> Answer:
+    def read(self, message: ReadNext) -> ReaderAnswer:
         """Return the next row, or that there is none at present; raises SourceError.
 
         A picture is copied from the ring. Without ``fresh``, None once all kept rows have been returned.
@@ -146,7 +140,7 @@ class LiveReaderActor:
         if self._reader is not None:
             self._reader.close()
 
-    def _answers(self, message: ReadNext | Forget) -> Iterator[Answer]:
+    def _answers(self, message: ReadNext | Forget) -> Iterator[ReaderAnswer]:
         if isinstance(message, Forget):
             self.forget(message.rows)
         else:
@@ -210,7 +204,7 @@ class LiveReadAhead(ReadAhead):
     def _request(self, slot: Slot) -> ReadNext:
         return ReadNext(slot, self._fresh)
 
-    def _receive(self) -> Answer:
+    def _receive(self) -> ReaderAnswer:
         # It may take long to open its source, but then it answers soon.
         assert self._channel is not None  # begun
         if self._answers and not self._channel.has_message(_ANSWER_SECONDS):

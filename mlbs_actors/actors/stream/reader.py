@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import NoReturn, TypeAlias
+from typing import NoReturn
 
 from ray.exceptions import GetTimeoutError
 
@@ -21,42 +20,15 @@ from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, Slot, Slo
 from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import NOTICE_SECONDS, get
+from mlbs_actors.actors.stream.messages import ReaderAnswer, ReadNext, Skip
 from mlbs_actors.determinism import limit_process
-from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.source import FrameReader, SourceFrame, SourceSilence
 
-__all__ = ["LEAST_ASKED", "Answer", "ReadAhead", "ReadNext", "ReaderActor", "Skip", "answer"]
-
-#: Answer of a reader to a request for its next row: a picture's reference, a row without one, or the end.
-Answer: TypeAlias = "Shared[SourceFrame] | SourceFrame | SourceSilence | None"
+__all__ = ["LEAST_ASKED", "ReadAhead", "ReaderActor", "answer"]
 
 #: Least frames under way, to make up for a slow one (a key frame), and most: several are requested at once,
 #: as a decoder finds its last frames in the caches as long as it continues.
 LEAST_ASKED, _MOST_ASKED = 3, 6
-
-
-@pickled_by_values
-@dataclass(frozen=True, slots=True)
-class ReadNext:
-    """Requests a reader's next row.
-
-    Attributes
-    ----------
-    slot : Slot
-        For a picture.
-    fresh : bool
-        Whether to wait for a live source; else only rows that it keeps are wanted.
-    """
-
-    slot: Slot
-    fresh: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class Skip:
-    """Requests a reader to skip frames."""
-
-    frames: int
 
 
 class ReaderActor:
@@ -78,7 +50,7 @@ class ReaderActor:
         """Answer requests until the channel is closed; raises SourceError."""
         self._channel.serve(self._answers)
 
-    def read(self, message: ReadNext) -> Answer:
+    def read(self, message: ReadNext) -> ReaderAnswer:
         """Return the next frame or that there is none at present, None at the end; raises SourceError."""
         return answer(self._next(), message.slot, self._memory)
 
@@ -97,7 +69,7 @@ class ReaderActor:
         if self._reader is not None:
             self._reader.close()
 
-    def _answers(self, message: ReadNext | Skip) -> Iterator[Answer]:
+    def _answers(self, message: ReadNext | Skip) -> Iterator[ReaderAnswer]:
         if isinstance(message, Skip):
             self.skip(message)
             yield None
@@ -110,7 +82,7 @@ class ReaderActor:
         return self._reader.read()
 
 
-def answer(said: SourceFrame | SourceSilence | None, slot: Slot, memory: SharedMemory) -> Answer:
+def answer(said: SourceFrame | SourceSilence | None, slot: Slot, memory: SharedMemory) -> ReaderAnswer:
     """Make a reader's answer: pictures go into the slot."""
     return memory.share(said, slot) if isinstance(said, SourceFrame) and said.image is not None else said
 
@@ -247,10 +219,10 @@ class ReadAhead:
         with suppress(ChannelClosedError):
             self._channel.send(message)
 
-    def _receive(self) -> Answer:
+    def _receive(self) -> ReaderAnswer:
         assert self._channel is not None  # begun
         try:
-            said: Answer = self._channel.receive()
+            said: ReaderAnswer = self._channel.receive()
         except ChannelClosedError:
             self._raise_cause()
         return said

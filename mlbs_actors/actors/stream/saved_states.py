@@ -23,7 +23,6 @@ __all__ = [
     "SEGMENTER_FILE",
     "ConductorState",
     "PublishedState",
-    "SaveState",
     "SavedLayer",
     "StateWriter",
     "layer_file",
@@ -56,19 +55,6 @@ class SavedLayer:
     layer: int
     kind: LayerKind
     last_frame: int
-
-
-@dataclass(frozen=True, slots=True)
-class SaveState:
-    """Requests a process to write its state as of the frame before, in parallel with the next ones.
-
-    Attributes
-    ----------
-    folder : Path
-        Of the snapshot.
-    """
-
-    folder: Path
 
 
 @dataclass(frozen=True, slots=True)

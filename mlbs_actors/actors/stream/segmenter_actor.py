@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.actors.ipc.channels import Channel, ChannelAddress, ChannelListener, connect
@@ -17,14 +16,14 @@ from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import get
 from mlbs_actors.actors.parts import PartFactory
-from mlbs_actors.actors.stream.layers_at_work import AssignedProcess, LayersAtWork, SharedEvidence
+from mlbs_actors.actors.stream.layers_at_work import LayersAtWork, SharedEvidence
+from mlbs_actors.actors.stream.messages import FrameWork, LabelledFrame, Retirement, SaveState
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.saved_states import (
     PUBLISHED_FILE,
     SEGMENTER_FILE,
     PublishedState,
     SavedLayer,
-    SaveState,
     StateWriter,
 )
 from mlbs_actors.config import Config
@@ -33,71 +32,13 @@ from mlbs_actors.messages import (
     BACKGROUND,
     Array,
     FrameEvidence,
-    LayerAppearance,
     LayerPosterior,
     Segmentation,
     readonly,
 )
-from mlbs_actors.pickling import pickled_by_values
-from mlbs_actors.source import SourceFrame
 from mlbs_actors.state_file import read_state
 
-__all__ = ["FrameWork", "LabelledFrame", "Labelling", "Retirement", "SegmenterActor"]
-
-
-@pickled_by_values
-@dataclass(frozen=True, slots=True)
-class FrameWork:
-    """A frame to label, once the one before it is labelled.
-
-    Attributes
-    ----------
-    evidence, frame : Shared
-    answer : Slot
-        For the label map.
-    posteriors : tuple of Slot
-        For the answers of the evidence's layers, in ascending id.
-    assigned : tuple of AssignedProcess
-        New processes of layers of the evidence.
-    background : Slot, optional
-        For the background's remembered colours after this frame; None if not wanted.
-    """
-
-    evidence: Shared[FrameEvidence]
-    frame: Shared[SourceFrame]
-    answer: Slot
-    posteriors: tuple[Slot, ...]
-    assigned: tuple[AssignedProcess, ...]
-    background: Slot | None
-
-    @property
-    def inner_slots(self) -> tuple[Slot, ...]:
-        """The slots that only the segmenter and the layers read."""
-        return (self.evidence.slot, *self.posteriors, *(one.state for one in self.assigned))
-
-
-@dataclass(frozen=True, slots=True)
-class Retirement:
-    """Layers that get no more frames: their processes are free for layers born next."""
-
-    layers: tuple[int, ...]
-
-
-@pickled_by_values
-@dataclass(frozen=True, slots=True)
-class LabelledFrame:
-    """The result of a :class:`FrameWork`.
-
-    Attributes
-    ----------
-    frame_index : int
-    segmentation : Shared
-    background : Shared, optional
-    """
-
-    frame_index: int
-    segmentation: Shared[Segmentation]
-    background: Shared[LayerAppearance] | None
+__all__ = ["Labelling", "SegmenterActor"]
 
 
 class SegmenterActor:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from ray.exceptions import RayError
 
@@ -14,16 +13,16 @@ from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.process_memory import settle_memory
 from mlbs_actors.actors.node.processes import get, is_answered
+from mlbs_actors.actors.stream.messages import GapRow, LabelRow
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.protocol import Opening, Snapshot, StreamSink, StreamSpec
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import LayerAppearance, Segmentation
-from mlbs_actors.pickling import pickled_by_values
 from mlbs_actors.segmentation.attached_parts import join_parts
 from mlbs_actors.source import GapStatus, SourceFrame
 
-__all__ = ["GapRow", "LabelRow", "Record", "SinkActor"]
+__all__ = ["Record", "SinkActor"]
 
 #: Most rows under way to the sink; above that the stream waits. Each holds a frame and a label map.
 _PENDING_ROWS = 14
@@ -44,32 +43,6 @@ _PENDING_SNAPSHOTS = 3
 
 #: Interval of checks for an awaited snapshot, s.
 _LOOK_SECONDS = 0.05
-
-
-@pickled_by_values
-@dataclass(frozen=True, slots=True)
-class LabelRow:
-    """One result: a row of a record, by reference."""
-
-    segmentation: Shared[Segmentation]
-    frame: Shared[SourceFrame]
-    background: Shared[LayerAppearance] | None
-
-    @property
-    def slots(self) -> tuple[Slot, ...]:
-        """Slots of its parts."""
-        parts = (self.segmentation, self.frame, self.background)
-        return tuple(part.slot for part in parts if part is not None)
-
-
-@pickled_by_values
-@dataclass(frozen=True, slots=True)
-class GapRow:
-    """A frame without label map: its source index, its time, and why."""
-
-    index: int
-    pts: float
-    status: GapStatus
 
 
 class SinkActor:

@@ -34,7 +34,7 @@ from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory
 from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
 from mlbs_actors.actors.node.processes import end, get, here, identity, kill, spawn, wait
 from mlbs_actors.actors.pipeline import Node
-from mlbs_actors.actors.stream.layer_actor import LayerStart, LayerStep
+from mlbs_actors.actors.stream.messages import LayerStart, LayerStep
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.errors import ActorLostError, LayerError
 from mlbs_actors.messages import LayerEvidence

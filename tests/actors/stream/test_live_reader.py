@@ -20,8 +20,8 @@ from mlbs_actors.actors.node.processes import end
 from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream import live_reader as live_reader_module
 from mlbs_actors.actors.stream.live_reader import FrameRing, LiveReaderActor
+from mlbs_actors.actors.stream.messages import ReadNext
 from mlbs_actors.actors.stream.protocol import Snapshot, StreamSpec
-from mlbs_actors.actors.stream.reader import ReadNext
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from mlbs_actors.source import FrameReader, SourceFrame, SourcePosition, SourceSilence, SourceStatus
