@@ -16,13 +16,14 @@ from ray.exceptions import GetTimeoutError, RayError
 
 from mlbs_actors.actors.ipc.wakeup import WakeupEvent
 from mlbs_actors.actors.node.burst_limiter import BurstLimiter
-from mlbs_actors.actors.node.failures import COORDINATOR, POOL, SEGMENTER, explain
+from mlbs_actors.actors.node.failures import COORDINATOR, explain
 from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
 from mlbs_actors.actors.node.processes import cores_of, end, get, here, identity, kill, spawn, spawn_standby
 from mlbs_actors.actors.node.reservation import Reservation
 from mlbs_actors.actors.parts import EngineParts, PartFactory
-from mlbs_actors.actors.stream.coordinator_actor import CoordinatorActor, StreamLinks
+from mlbs_actors.actors.stream.coordinator_actor import CoordinatorActor
+from mlbs_actors.actors.stream.links import StreamLinks
 from mlbs_actors.actors.stream.live_reader import LiveReaderActor
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, StreamSpec
 from mlbs_actors.actors.stream.reader import ReaderActor
@@ -267,11 +268,7 @@ class StreamActors:
         self._live = not spec.replayable
         self._coordinator = coordinator
         self._links = links
-        self._roles = {
-            identity(coordinator): COORDINATOR,
-            identity(links.segmenter): SEGMENTER,
-            identity(links.pool): POOL,
-        }
+        self._roles = {identity(coordinator): COORDINATOR} | links.roles()
         # By reference: the coordinator must not begin before the pool has registered the stream.
         self._run: Reference = links.pool.begin.remote(run)
         segmenter_begun: Reference = links.segmenter.become.remote(parts, spec.config)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 
-from ray.exceptions import ObjectLostError, OutOfMemoryError, RayTaskError
+from ray.exceptions import ObjectLostError, OutOfMemoryError, RayError, RayTaskError
 
 from mlbs_actors.actors.ipc.channels import ChannelClosedError
-from mlbs_actors.actors.node.processes import LOST_PROCESS
+from mlbs_actors.actors.node.host import Reference
+from mlbs_actors.actors.node.processes import LOST_PROCESS, NOTICE_SECONDS, get, wait
 from mlbs_actors.errors import ActorLostError, LayerError, MlbsError, SourceError
 from mlbs_actors.wording import count_of
 
@@ -18,6 +20,7 @@ __all__ = [
     "SINK",
     "cause_of",
     "explain",
+    "first_failure",
     "is_loss",
     "last_line",
     "reader_lost",
@@ -34,6 +37,31 @@ SINK = "sink"
 def cause_of(error: BaseException) -> BaseException:
     """Return what was raised in the actor, without Ray's wrapping."""
     return error.cause if isinstance(error, RayTaskError) else error
+
+
+def first_failure(served: Sequence[Reference], stream: str) -> Exception:
+    """Return why one of a stream's processes has closed its channel: the first exception of them.
+
+    Parameters
+    ----------
+    served : sequence of Reference
+        Their calls in which they answer messages.
+    stream : str
+        The stream's name.
+    """
+    waiting = list(served)
+    deadline = time.monotonic() + NOTICE_SECONDS
+    while waiting and (left := deadline - time.monotonic()) > 0:
+        ended, waiting = wait(waiting, timeout=left)
+        try:
+            for one in ended:
+                get(one)
+        except (RayError, MlbsError) as error:
+            return error
+    return ActorLostError(
+        f"The processes of stream {stream!r} cannot reach each other; what was committed before "
+        "is kept. If that happens again and again, run all of Ray as one user."
+    )
 
 
 def explain(error: BaseException, stream: str, roles: Mapping[str, str]) -> MlbsError:

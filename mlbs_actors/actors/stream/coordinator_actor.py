@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import logging
 import os
-import sys
 import time
 from collections import deque
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -23,44 +23,27 @@ from ray.exceptions import GetTimeoutError, RayError
 from mlbs_actors.actors.ipc.channels import ChannelClosedError
 from mlbs_actors.actors.ipc.shared_memory import Shared, SharedMemory, SlotPool
 from mlbs_actors.actors.ipc.wakeup import WakeupHandle, wait_until_woken
-from mlbs_actors.actors.node.failures import (
-    POOL,
-    SEGMENTER,
-    SINK,
-    explain,
-    is_loss,
-    reader_lost,
-    source_failure,
-)
-from mlbs_actors.actors.node.host import Handle
+from mlbs_actors.actors.node.failures import explain, first_failure, is_loss, reader_lost, source_failure
+from mlbs_actors.actors.node.host import Reference
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
-from mlbs_actors.actors.node.processes import NOTICE_SECONDS, get, identity, wait
+from mlbs_actors.actors.node.processes import get
 from mlbs_actors.actors.node.usage import StreamUsage
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.account import StreamAccount
+from mlbs_actors.actors.stream.links import StreamLinks
 from mlbs_actors.actors.stream.live_layers import LiveLayers
 from mlbs_actors.actors.stream.live_reader import LiveReadAhead
-from mlbs_actors.actors.stream.messages import AssignedProcess, FrameWork
-from mlbs_actors.actors.stream.protocol import Snapshot, StreamProgress, StreamSpec
+from mlbs_actors.actors.stream.protocol import StreamProgress, StreamSpec
 from mlbs_actors.actors.stream.reader import ReadAhead
-from mlbs_actors.actors.stream.saved_states import (
-    CONDUCTOR_FILE,
-    COORDINATOR_FILE,
-    PUBLISHED_FILE,
-    SEGMENTER_FILE,
-    ConductorState,
-    StateWriter,
-    layer_file,
-)
 from mlbs_actors.actors.stream.segmenter_actor import Labelling
 from mlbs_actors.actors.stream.sink import Record
+from mlbs_actors.actors.stream.snapshots import StreamSnapshots
 from mlbs_actors.determinism import limit_process
-from mlbs_actors.errors import ActorLostError, MlbsError
+from mlbs_actors.errors import ActorLostError, MlbsError, SourceError
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation
 from mlbs_actors.source import SourceFrame, SourceSilence
-from mlbs_actors.state_file import read_state
 
-__all__ = ["CoordinatorActor", "StreamLinks"]
+__all__ = ["CoordinatorActor"]
 
 _log = logging.getLogger(__name__)
 
@@ -78,24 +61,6 @@ _SKIPPED_FRAMES = 64
 
 #: Timeout for a snapshot without which frames would be lost, s.
 _SNAPSHOT_SECONDS = 30.0
-
-
-@dataclass(frozen=True, slots=True)
-class StreamLinks:
-    """The actors a coordinator works with.
-
-    Attributes
-    ----------
-    reader, segmenter : Handle
-        The stream's own.
-    pool, sink : Handle
-        The node's.
-    """
-
-    reader: Handle
-    segmenter: Handle
-    pool: Handle
-    sink: Handle
 
 
 class CoordinatorActor:
@@ -123,20 +88,20 @@ class CoordinatorActor:
             else LiveReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
         )
         self._layers = LiveLayers(links.pool, run, spec.config, spec.name)
-        self._labelling = Labelling(links.segmenter, self._slots, spec.name)
+        self._labelling = Labelling(links.segmenter, self._slots, self._memory, spec.name)
         self._record = Record(links.sink, run, spec, self._slots)
         # Not yet labelled, in source order; a picture with its reference.
         self._waiting: deque[tuple[Shared[SourceFrame] | None, SourceFrame]] = deque()
         # The newest results, by the engine's frame index.
         self._segmentations: dict[int, Shared[Segmentation]] = {}
         self._account = StreamAccount(spec.max_frames)
+        self._snapshots = StreamSnapshots(
+            spec, self._coordinator, self._layers, self._labelling, self._account, self._record
+        )
         self._usage = StreamUsage()
         self._ended: StreamProgress | MlbsError | None = None
         self._begun = self._interrupted = False
         self._to_skip = 0
-        self._saved = 0  # rows of the source before the newest snapshot
-        self._earliest_snapshot = 0.0  # the first snapshot depends on its rows only
-        self._writer = StateWriter()
 
     def advance(self, frames: int) -> StreamProgress:
         """Take up to ``frames`` more frames of the source, fewer if they or their source are slow.
@@ -172,8 +137,10 @@ class CoordinatorActor:
                 # traceback.
                 if not isinstance(error, MlbsError | RayError | ChannelClosedError):
                     _log.exception("Stream %r failed unexpectedly.", self._spec.name)
-                cause = self._cause_of_loss() if isinstance(error, ChannelClosedError) else error
-                self._ended = explain(cause, self._spec.name, self._roles())
+                closed = isinstance(error, ChannelClosedError)
+                cause = first_failure(self._served(), self._spec.name) if closed else error
+                roles = self._links.roles() | dict(self._layers.roles())
+                self._ended = explain(cause, self._spec.name, roles)
                 self._close_after_failure()
             else:
                 if not progress.done:
@@ -217,7 +184,7 @@ class CoordinatorActor:
                 self._write_gaps()
             else:
                 self._track(frame.image, frame.concealed)
-            if self._progressed >= self._next_snapshot and time.monotonic() >= self._earliest_snapshot:
+            if self._snapshots.are_due():
                 self._save()
         self._record.send()
         self._collect()
@@ -231,100 +198,73 @@ class CoordinatorActor:
     def _begin(self) -> None:
         """Start, from the snapshot that the record names, if any."""
         opening = self._record.opening()
-        self._snapshots = opening.snapshots
         if opening.resume_from is not None:
             self._restore(opening.resume_from.folder)
         self._labelling.begin()
         self._begin_reading()
-        self._await_snapshot()
+        self._snapshots.begin(opening.snapshots)
         self._begun = True
 
     def _restore(self, folder: Path) -> None:
-        state = read_state(folder / CONDUCTOR_FILE, ConductorState)
-        self._coordinator.state = read_state(folder / COORDINATOR_FILE, type(self._coordinator.state))
-        self._layers.restore(state.layers)
-        slots = [self._slots.acquire("segmentation") for _ in range(2)]  # kept for ever
-        self._segmentations |= self._labelling.restore(folder, state.layers, slots)
-        for frame in state.waiting:
+        """Go back to a snapshot, with the frames that were under way."""
+        waiting, published = self._snapshots.restore(folder)
+        self._segmentations |= published
+        for frame in waiting:
             shared = None if frame.image is None else self._memory.share(frame, self._slots.acquire("frame"))
             self._waiting.append((shared, frame))
-        self._account.restore(state.counts, state.position)
-        self._saved = state.position.rows
 
     def _begin_reading(self) -> None:
         pictures = self._account.counts["ok"]
-        try:
+        with self._reading():
             if isinstance(self._source, LiveReadAhead):
                 self._source.go_on(self._account.position, pictures)
             else:
                 self._source.begin(pictures)
                 self._to_skip = 0 if self._interrupted else self._account.read
-        except RayError as error:
-            raise self._reader_failure(error) from None
 
     def _skip(self) -> None:
         """Skip some of the frames before the snapshot: in bursts, so that the driver sees progress."""
         frames = min(self._to_skip, _SKIPPED_FRAMES)
-        try:
+        with self._reading():
             self._source.skip(frames)
-        except RayError as error:
-            raise self._reader_failure(error) from None
         self._to_skip -= frames
 
     def _save(self) -> None:
-        """Have every part write its state, all after the same frame, while the work continues."""
-        assert self._snapshots is not None
-        self._await_snapshot()
-        if self._spec.replayable:
-            self._earliest_snapshot = time.monotonic() + self._spec.snapshot_seconds
-        folder = self._snapshots / f"{self._account.position.rows:08d}"
-        self._labelling.save(folder)
-        layers = self._layers.state()
-        waiting = tuple(frame for _, frame in self._waiting)
-        own = ConductorState(self._account.counts, self._account.position, waiting, layers)
-        self._writer.write({CONDUCTOR_FILE: own, COORDINATOR_FILE: self._coordinator.state}, folder)
-        shared = (CONDUCTOR_FILE, COORDINATOR_FILE, SEGMENTER_FILE, PUBLISHED_FILE)
-        parts = (*shared, *(layer_file(one.layer) for one in layers))
-        self._record.submit_snapshot(Snapshot(folder, self._record.rows, self._record.label_maps, parts))
-        self._saved = self._account.position.rows
+        self._snapshots.save(tuple(frame for _, frame in self._waiting))
 
     def _save_where_it_stands(self) -> None:
         """Save the present state: frames of a live source cannot be read again."""
-        if self._snapshots is not None and not self._spec.replayable:
-            if self._saved != self._account.position.rows:
+        if self._snapshots.are_wanted and not self._spec.replayable:
+            if not self._snapshots.are_current():
                 self._save()
             self._await_labelled()
             self._record.await_snapshot(_SNAPSHOT_SECONDS)
 
-    def _await_snapshot(self) -> None:
-        every, wanted = self._spec.snapshot_rows, self._snapshots is not None
-        self._next_snapshot = (self._progressed // every + 1) * every if wanted else sys.maxsize
-
-    @property
-    def _progressed(self) -> int:
-        """The count that snapshots depend on: most rows of a live source can be drops, which cost no work."""
-        return self._record.rows if self._spec.replayable else self._record.label_maps
-
     def _next_frame(self) -> tuple[Shared[SourceFrame] | None, SourceFrame | SourceSilence] | None:
         try:
-            return self._source.next()
-        except RayError as error:
-            failure = self._reader_failure(error)
-            if isinstance(failure, ActorLostError):
-                self._save_where_it_stands()
-                raise failure from None
+            with self._reading():
+                return self._source.next()
+        except ActorLostError:
+            self._save_where_it_stands()
+            raise
+        except SourceError as failure:
             if self._account.read == 0:
-                raise failure from None
+                raise
             self._account.problem = str(failure)
             self._source.stop()
             return None
 
-    def _reader_failure(self, error: RayError) -> MlbsError:
-        # Repeated aborts mean that a file is damaged; a live source cannot be read again.
-        damaged = self._spec.replayable and self._spec.last_try
-        if not damaged and (is_loss(error) or isinstance(error, GetTimeoutError)):
-            return reader_lost(self._spec.name, self._account.read)
-        return source_failure(error, self._spec.source, self._account.read)
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Translate what the reader raises: ActorLostError if it may succeed again, else SourceError."""
+        try:
+            yield
+        except RayError as error:
+            # Repeated aborts mean that a file is damaged; a live source cannot be read again.
+            damaged = self._spec.replayable and self._spec.last_try
+            if not damaged and (is_loss(error) or isinstance(error, GetTimeoutError)):
+                raise reader_lost(self._spec.name, self._account.read) from None
+            raise source_failure(error, self._spec.source, self._account.read) from None
 
     def _track(self, image: Array, concealed: bool) -> None:
         """Process the next picture, and start the work that it makes possible."""
@@ -353,17 +293,9 @@ class CoordinatorActor:
         assert frame is not None  # a frame without picture is a gap
         if evidence.retired:
             self._labelling.retire(evidence.retired)
-        assigned = tuple(
-            AssignedProcess(layer, address, self._slots.acquire("state"))
-            for layer, address in self._layers.follow(evidence)
-        )
-        evidence_slot, answer = self._slots.acquire("evidence"), self._slots.acquire("segmentation")
-        posteriors = tuple(self._slots.acquire("posterior") for _ in evidence.tracks)
         wants = self._spec.wants_background
-        wanted = bool(evidence.tracks) and wants is not None and wants(delivered.index)
-        background = self._slots.acquire("appearance") if wanted else None
-        shared = self._memory.share(evidence, evidence_slot)
-        self._labelling.start(FrameWork(shared, frame, answer, posteriors, assigned, background))
+        background = bool(evidence.tracks) and wants is not None and wants(delivered.index)
+        self._labelling.start(evidence, frame, self._layers.follow(evidence), background=background)
         self._record.expect(frame)
         self._write_gaps()
 
@@ -408,9 +340,9 @@ class CoordinatorActor:
         self._await_labelled()
         self._labelling.close()
         # All snapshots must be written before the record is closed, which removes them.
-        for served in (*self._layers.served(), self._labelling.served):
+        for served in self._served():
             get(served)
-        self._writer.finish()
+        self._snapshots.finish()
         self._layers.release_all()
         self._record.close(whole=not self._interrupted)
         if self._account.problem is None:
@@ -428,21 +360,8 @@ class CoordinatorActor:
         self._labelling.close()
         self._record.close_after_failure()
 
-    def _cause_of_loss(self) -> Exception:
-        """Return why the segmenter or a layer has closed its channel: the first exception of one of them."""
-        waiting = [*self._layers.served(), self._labelling.served]
-        deadline = time.monotonic() + NOTICE_SECONDS
-        while waiting and (left := deadline - time.monotonic()) > 0:
-            ended, waiting = wait(waiting, timeout=left)
-            try:
-                for served in ended:
-                    get(served)
-            except (RayError, MlbsError) as error:
-                return error
-        return ActorLostError(
-            f"The processes of stream {self._spec.name!r} cannot reach each other; what was committed before "
-            "is kept. If that happens again and again, run all of Ray as one user."
-        )
+    def _served(self) -> list[Reference]:
+        return [*self._layers.served(), self._labelling.served]
 
     def _progress(self, *, done: bool, kept_waiting: bool = False) -> StreamProgress:
         progress = self._account.progress(
@@ -456,8 +375,3 @@ class CoordinatorActor:
             cpu_seconds=self._usage.cpu_seconds,
             memory=self._usage.memory,
         )
-
-    def _roles(self) -> dict[str, str]:
-        links = self._links
-        own = ((links.segmenter, SEGMENTER), (links.pool, POOL), (links.sink, SINK))
-        return {identity(handle): role for handle, role in own} | dict(self._layers.roles())

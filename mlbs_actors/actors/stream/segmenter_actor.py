@@ -7,7 +7,7 @@ parallel, and labels the frame from their posteriors.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from mlbs_actors.actors.ipc.channels import Channel, ChannelAddress, ChannelListener, connect
@@ -17,7 +17,13 @@ from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import get
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layers_at_work import LayersAtWork, SharedEvidence
-from mlbs_actors.actors.stream.messages import FrameWork, LabelledFrame, Retirement, SaveState
+from mlbs_actors.actors.stream.messages import (
+    AssignedProcess,
+    FrameWork,
+    LabelledFrame,
+    Retirement,
+    SaveState,
+)
 from mlbs_actors.actors.stream.order import FrameOrder
 from mlbs_actors.actors.stream.saved_states import (
     PUBLISHED_FILE,
@@ -36,6 +42,7 @@ from mlbs_actors.messages import (
     Segmentation,
     readonly,
 )
+from mlbs_actors.source import SourceFrame
 from mlbs_actors.state_file import read_state
 
 __all__ = ["Labelling", "SegmenterActor"]
@@ -142,6 +149,8 @@ class Labelling:
         The stream's :class:`SegmenterActor`.
     slots : SlotPool
         Of the stream.
+    memory : SharedMemory
+        The coordinator's.
     stream : str
         The stream's name, under which the segmenter's process is listed.
 
@@ -158,19 +167,19 @@ class Labelling:
     served: Reference
     process: int | None = None
 
-    def __init__(self, segmenter: Handle, slots: SlotPool, stream: str) -> None:
+    def __init__(self, segmenter: Handle, slots: SlotPool, memory: SharedMemory, stream: str) -> None:
         self._segmenter = segmenter
-        self._stream = stream
         self._slots = slots
+        self._memory = memory
+        self._stream = stream
         self._in_use: deque[tuple[Slot, ...]] = deque()  # of the frames under way, and of the one before
         self._address: Reference = segmenter.address.remote()
         self._channel: Channel | None = None
         self.under_way = 0
 
-    def restore(
-        self, folder: Path, layers: Sequence[SavedLayer], slots: Sequence[Slot]
-    ) -> dict[int, Shared[Segmentation]]:
+    def restore(self, folder: Path, layers: Sequence[SavedLayer]) -> dict[int, Shared[Segmentation]]:
         """See :meth:`SegmenterActor.restore`; before :meth:`begin`. Raises RayError."""
+        slots = [self._slots.acquire("segmentation") for _ in range(2)]  # kept for ever
         published: dict[int, Shared[Segmentation]] = get(
             self._segmenter.restore.remote(folder, layers, slots)
         )
@@ -183,8 +192,32 @@ class Labelling:
         self.served = self._segmenter.serve.options(name=f"SegmenterActor.serve of {self._stream}").remote()
         self._channel = connect(address)
 
-    def start(self, work: FrameWork) -> None:
-        """Start labelling the next frame."""
+    def start(
+        self,
+        evidence: FrameEvidence,
+        frame: Shared[SourceFrame],
+        assigned: Iterable[tuple[int, ChannelAddress]],
+        *,
+        background: bool,
+    ) -> None:
+        """Start labelling the next frame.
+
+        Parameters
+        ----------
+        evidence : FrameEvidence
+        frame : Shared
+        assigned : iterable of (int, ChannelAddress)
+            Layers of the evidence that have a process from this frame on.
+        background : bool
+            Whether the background's remembered colours after this frame are wanted.
+        """
+        acquire = self._slots.acquire
+        moved = tuple(AssignedProcess(layer, address, acquire("state")) for layer, address in assigned)
+        where, answer = acquire("evidence"), acquire("segmentation")
+        posteriors = tuple(acquire("posterior") for _ in evidence.tracks)
+        appearance = acquire("appearance") if background else None
+        shared = self._memory.share(evidence, where)
+        work = FrameWork(shared, frame, answer, posteriors, moved, appearance)
         self._opened.send(work)
         self._in_use.append(work.inner_slots)
         self.under_way += 1
