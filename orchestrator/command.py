@@ -34,6 +34,8 @@ def run_command(argv: Sequence[str]) -> int:
     try:
         arguments = parse(argv)
         log = Log(arguments.log, str(arguments.output.resolve()))
+        if arguments.zones.fault is not None:
+            log.warn(arguments.zones.fault)
         streams = () if arguments.streams is None else read_stream_list(arguments.streams)
         streams += argument_streams(arguments.sources, [stream.name for stream in streams])
         unknown = sorted(arguments.ignored.streams - {stream.name for stream in streams})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
@@ -20,6 +20,7 @@ from orchestrator.monitor.address import MonitorAddress
 from orchestrator.program import command_line_of
 from orchestrator.run.argument_streams import DEMO, argument_address, default_output
 from orchestrator.run.retention_limits import HOUR, Keep, parse_keep, parse_segment
+from orchestrator.run.zones_history import newest_zones
 
 __all__ = ["Arguments", "parse"]
 
@@ -191,7 +192,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         max_frames=given.max_frames,
         max_side=given.max_side,
         ignored=read_ignored(given.ignore),
-        zones=ZonesFile() if given.zones is None else read_zones(given.zones),
+        zones=_zones(given.zones, output if given.resume else None),
         events=tuple(parse_target(text) for text in given.events),
         watch=given.watch,
         segment=parse_segment(given.segment) if given.segment else HOUR if keep else None,
@@ -200,6 +201,20 @@ def parse(argv: Sequence[str]) -> Arguments:
         places=given.places,
         log=given.log,
     )
+
+
+def _zones(path: Path | None, resumed: Path | None) -> ZonesFile:
+    """Read the zones; of a resumed run those of before, if the file cannot be used, so that it goes on."""
+    if path is None:
+        return ZonesFile()
+    try:
+        return read_zones(path)
+    except ConfigError as error:
+        before = None if resumed is None else newest_zones(resumed)
+        if before is None:
+            raise
+        words = f"{str(error).rstrip('.')}. The zones of before hold on ({before})."
+        return replace(read_zones(before), path=path.absolute(), fault=words)
 
 
 def _folder(text: str) -> Path:

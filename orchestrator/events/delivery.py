@@ -3,7 +3,8 @@
 The files ``events.jsonl`` are the queue. For each target the run's folder holds how far every stream's file
 was acknowledged. Lines that are not committed yet are sent, too, though a stream that goes back replaces
 them; so only the committed part of a file is counted by numbers, the rest by its ids. The oldest lines of a
-camera can be deleted, delivered or not, as the queue is bounded.
+camera can be deleted, delivered or not, as the queue is bounded. An event that a target refuses is set aside,
+and the next one is sent.
 """
 
 from __future__ import annotations
@@ -27,11 +28,14 @@ from pydantic import TypeAdapter, ValidationError
 from mlbs_actors.wording import count_of
 from orchestrator.events.event_file import EVENTS, committed_events
 from orchestrator.events.recent import recent_events
-from orchestrator.events.targets import DeliveryError, EventTarget, Sender, open_sender
+from orchestrator.events.targets import DeliveryError, EventTarget, RefusedEventError, Sender, open_sender
 from orchestrator.run.durable_files import replace_file
 from orchestrator.sources.live_buffer import retry_seconds
 
 __all__ = ["Backlog", "Deliveries", "Delivery"]
+
+#: File of the run's folder with what targets have refused.
+_REFUSED = "events-refused.jsonl"
 
 #: Between two looks at the files, s.
 _LOOK_SECONDS = 0.1
@@ -71,11 +75,14 @@ class Backlog:
         Events.
     away_since : float, optional
         When it stopped accepting them, seconds since 1970; None while it does.
+    refused : int
+        Events that it refused, which are set aside.
     """
 
     target: str
     waiting: int
     away_since: float | None
+    refused: int = 0
 
     @property
     def away_seconds(self) -> float:
@@ -87,7 +94,7 @@ class Backlog:
         away = None
         if self.away_since is not None:
             away = datetime.fromtimestamp(self.away_since, timezone.utc).isoformat(timespec="seconds")
-        return {"target": self.target, "waiting": self.waiting, "away_since": away}
+        return {"target": self.target, "waiting": self.waiting, "away_since": away, "refused": self.refused}
 
 
 class Deliveries:
@@ -148,6 +155,7 @@ class Delivery:
         self._path = folder / f".delivered-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
         self._positions: dict[str, _Position] = {}
         self._away_since: float | None = None
+        self._refused = 0
         self._looked: dict[Path, tuple[int, int]] = {}
         # Of each file the inode, and where its first line is that may be waiting.
         self._starts: dict[Path, tuple[int, int]] = {}
@@ -158,6 +166,7 @@ class Delivery:
     def start(self) -> None:
         """Go on where an earlier run was; the run's folder is locked."""
         self._positions = _read_positions(self._path)
+        self._refused = sum(1 for one in _refused_events(self._folder) if one["target"] == self._name)
         self._thread.start()
 
     def backlog(self) -> Backlog:
@@ -167,7 +176,7 @@ class Delivery:
             position = self._positions.get(path.parent.name, _Position())
             oldest, newest = _numbers(path)
             waiting += max(newest - max(position.number, oldest - 1) - len(position.ids), 0)
-        return Backlog(self._name, waiting, self._away_since)
+        return Backlog(self._name, waiting, self._away_since, self._refused)
 
     def close(self) -> None:
         """Deliver what there is, for a limited time, and stop."""
@@ -250,6 +259,9 @@ class Delivery:
         while not self._stop.is_set():
             try:
                 sender.send(event)
+            except RefusedEventError as error:
+                self._set_aside(event, str(error))
+                return True
             except DeliveryError as error:
                 failures += 1
                 if failures == 1:
@@ -263,6 +275,19 @@ class Delivery:
                     self._say(f"Events are delivered to {self._name} again.")
                 return True
         return False
+
+    def _set_aside(self, event: bytes, answer: str) -> None:
+        """Keep an event that will never be accepted where the operator finds it; say so the first time."""
+        self._away_since = None
+        line = {"target": self._name, "answer": answer, "event": json.loads(event)}
+        with (self._folder / _REFUSED).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        self._refused += 1
+        if self._refused == 1:
+            self._say(
+                f"{self._name} refuses an event: {answer.rstrip('.')}. It is set aside in {_REFUSED}, and so "
+                "will be others; the next one is sent."
+            )
 
     def _acknowledge(self, path: Path, line: bytes) -> None:
         position, event = self._position(path), json.loads(line)
@@ -281,6 +306,14 @@ def _read_positions(path: Path) -> dict[str, _Position]:
         return _POSITIONS.validate_json(path.read_bytes())
     except (FileNotFoundError, ValidationError):
         return {}
+
+
+def _refused_events(folder: Path) -> list[dict[str, Any]]:
+    try:
+        lines = (folder / _REFUSED).read_text(encoding="utf-8").splitlines(keepends=True)
+    except FileNotFoundError:
+        return []
+    return [json.loads(line) for line in lines if line.endswith("\n")]
 
 
 def _names(targets: Sequence[EventTarget]) -> list[str]:

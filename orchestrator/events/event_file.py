@@ -2,13 +2,15 @@
 
 A line is appended as soon as it is certain, so that it can be sent at once, and counts with the commit of the
 row that made it certain. ``.events`` holds what the events continue from after the last two commits, and how
-many there were then: a record that is opened again cuts the file off behind those, and goes on. That is
+many there were then: a record that is opened again cuts the file off behind those, and goes on, by other
+rules if they have changed. That is
 worked out from the rows when they are committed, for nobody knows before which of a camera's rows will be the
 last of a commit. Events are numbered, because the oldest lines can be deleted.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -49,15 +51,19 @@ class _Mark:
     began : float, optional
         When a camera's stream began, seconds since 1970.
     state : EventState
+    rules : str, optional
+        Digest of the rules by which they were made; an earlier version's have none.
     """
 
     rows: int
     events: int
     began: float | None = None
     state: EventState = field(default_factory=EventState)
+    rules: str | None = None
 
 
 _MARK = TypeAdapter(_Mark)
+_RULES = TypeAdapter(EventRules)
 _MARKS_READ = TypeAdapter(list[_Mark])
 
 
@@ -88,6 +94,8 @@ class EventFile:
         self._committed = _EventLines(stream, rules, _MARK.validate_json(self._kept))
         self._later: deque[_Step] = deque()
         self._unwritten: list[str] = []
+        if mark.rules not in (None, _digest(rules)):
+            self.configure(rules)
 
     @property
     def state(self) -> EventState:
@@ -113,6 +121,10 @@ class EventFile:
     def silent(self) -> None:
         """Add that the source sends nothing after the rows so far."""
         self._take(_Step(None, None))
+
+    def configure(self, rules: EventRules) -> None:
+        """Follow other rules after the rows so far."""
+        self._take(_Step(None, None, rules))
 
     def taken_at(self, pts: float) -> float | None:
         """Return when a camera took the frame of a time of the stream, seconds since 1970, if known."""
@@ -167,10 +179,21 @@ class EventFile:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """The next row, None for a silence; and when the stream began by that row, seconds since 1970."""
+    """What comes next.
+
+    Attributes
+    ----------
+    row : FrameRow, optional
+        None for other rules, or else a silence.
+    began : float, optional
+        When the stream began by that row, seconds since 1970.
+    rules : EventRules, optional
+        Other ones, from here on.
+    """
 
     row: FrameRow | None
     began: float | None
+    rules: EventRules | None = None
 
 
 class _EventLines:
@@ -178,7 +201,7 @@ class _EventLines:
 
     def __init__(self, stream: str, rules: EventRules, mark: _Mark) -> None:
         self._stream = stream
-        self._has_pictures = bool(rules.zones)
+        self._rules = rules
         self._happenings = Happenings(rules, mark.state)
         self.pictured: set[int] = set()  # objects in the newest row that its lines name pictures of
         self._events, self._began = mark.events, mark.began
@@ -193,18 +216,25 @@ class _EventLines:
     def after(self, step: _Step) -> list[str]:
         if step.began is not None:
             self._began = step.began
-        events = self._happenings.silent() if step.row is None else self._happenings.after(step.row)
+        if step.rules is not None:
+            self._rules = step.rules
+            events = self._happenings.configured(step.rules)
+        elif step.row is None:
+            events = self._happenings.silent()
+        else:
+            events = self._happenings.after(step.row)
         return self._lines(events, step.row)
 
     def at_end(self) -> list[str]:
         return self._lines(self._happenings.end(), None)
 
     def mark(self, rows: int) -> bytes:
-        return _MARK.dump_json(_Mark(rows, self._events, self._began, self._happenings.state))
+        mark = _Mark(rows, self._events, self._began, self._happenings.state, _digest(self._rules))
+        return _MARK.dump_json(mark)
 
     def _lines(self, events: list[Event], row: FrameRow | None) -> list[str]:
         here = set()
-        if row is not None and row.result is not None and self._has_pictures:
+        if row is not None and row.result is not None and self._rules.zones:
             here = {layer.layer for layer in row.result.layers}
         pictured = {event.layer for event in events if event.kind in _PICTURED and event.layer in here}
         self.pictured = {layer for layer in pictured if layer is not None}
@@ -233,6 +263,10 @@ class _EventLines:
             "picture": picture,
             "number": number,
         }
+
+
+def _digest(rules: EventRules) -> str:
+    return hashlib.sha256(_RULES.dump_json(rules)).hexdigest()[:16]
 
 
 def event_id(stream: str, event: Event) -> str:

@@ -33,6 +33,7 @@ EventKind = Literal[
     "camera still",
     "stream lost",
     "stream back",
+    "configured",
 ]
 
 #: Label maps in a row that must agree before an object is hidden, in a zone, out of it, or beyond a line.
@@ -66,7 +67,7 @@ class Event:
     direction : {"left", "right"}, optional
         Of ``crossed``; see :func:`orchestrator.events.zones.crossing`.
     reason : str, optional
-        Of ``hidden`` and ``ended``.
+        Of ``hidden`` and ``ended``, and of ``left`` if the zone is gone.
     replaced_by : int, optional
         The object in its place.
     """
@@ -238,6 +239,24 @@ class Happenings:
             return []
         state.lost = True
         return [Event("stream lost", state.rows, state.newest)]
+
+    def configured(self, rules: EventRules) -> list[Event]:
+        """Follow other rules from now on; return that, and who has left zones that are gone.
+
+        Who is in a zone stays in it until it is moved away from where they are.
+        """
+        self._rules = rules
+        there = {zone.name: zone.kind for zone in rules.zones}
+        said = [Event("configured", self.state.rows, self.state.newest)]
+        for number, one in sorted(self.state.objects.items()):
+            for name, presence in list(one.zones.items()):
+                if there.get(name) != "zone":
+                    del one.zones[name]
+                    if presence.inside and one.counts:
+                        place = self.state.rows, self.state.newest, number, one.seen.region
+                        said.append(Event("left", *place, zone=name, reason="the zone is gone"))
+            one.lines = {name: line for name, line in one.lines.items() if there.get(name) == "line"}
+        return said
 
     def end(self) -> list[Event]:
         """Return what is certain as the stream has come to its end; nothing is left to follow."""

@@ -16,11 +16,16 @@ from urllib.parse import unquote, urlsplit, urlunsplit
 
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.credentials import MASK, PASSWORD_VARIABLE, mask
+from orchestrator.loopback import is_loopback
 
-__all__ = ["DeliveryError", "EventTarget", "Sender", "open_sender", "parse_target"]
+__all__ = ["DeliveryError", "EventTarget", "RefusedEventError", "Sender", "open_sender", "parse_target"]
 
 #: Longest time until a target has answered, s.
 _ANSWER_SECONDS = 10.0
+
+#: Answers of a webhook by which it will never take an event, whenever it comes: bad, conflicting, too large,
+#: of the wrong kind, not to be processed. By others 4xx the address or the password is wrong, for all events.
+_REFUSALS = frozenset({400, 409, 413, 415, 422})
 
 #: Ports of MQTT brokers where none is given.
 _MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883}
@@ -28,6 +33,10 @@ _MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 class DeliveryError(MlbsError):
     """A target did not take an event."""
+
+
+class RefusedEventError(DeliveryError):
+    """A target will not take this event, but may take others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +65,13 @@ class Sender(Protocol):
     """An open way to a target."""
 
     def send(self, event: bytes) -> None:
-        """Send one event and wait until it has been accepted; DeliveryError if it was not."""
+        """Send one event and wait until it has been accepted.
+
+        Raises
+        ------
+        DeliveryError
+            If it was not; RefusedEventError if it never will be.
+        """
 
     def close(self) -> None:
         """End the connection."""
@@ -116,7 +131,10 @@ class _Webhook:
         if target.user is not None:
             pair = f"{target.user}:{target.password or ''}".encode()
             self._headers["Authorization"] = f"Basic {base64.b64encode(pair).decode()}"
-        self._opener = urllib.request.build_opener(_NoRedirect)
+        # What listens on this machine is not behind the network's proxy.
+        host = urlsplit(target.url).hostname or ""
+        proxies = [urllib.request.ProxyHandler({})] if is_loopback(host) else []
+        self._opener = urllib.request.build_opener(_NoRedirect, *proxies)
 
     def send(self, event: bytes) -> None:
         request = urllib.request.Request(self._url, event, self._headers, method="POST")
@@ -125,7 +143,8 @@ class _Webhook:
                 answer.read(1 << 16)
         except urllib.error.HTTPError as error:
             error.close()
-            raise DeliveryError(f"it answers {error.code} {error.reason}") from None
+            kind = RefusedEventError if error.code in _REFUSALS else DeliveryError
+            raise kind(f"it answers {error.code} {error.reason}") from None
         except (OSError, HTTPException) as error:
             raise DeliveryError(str(getattr(error, "reason", error)) or type(error).__name__) from None
 

@@ -54,7 +54,8 @@ class Zone(_Strict):
         Corners; of a line its points, in order. If all are from 0 to 1, shares of the picture's width and
         height; else px.
     fixed_to : {"picture", "scene"}
-        Whether it stays where it is in the picture, or goes with what is there in the stream's first picture.
+        Whether it stays where it is in the picture, or goes with what is there in the stream's first picture;
+        in a stream that had no such zone before, in the next picture.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=100)]
@@ -124,15 +125,22 @@ class ZonesFile:
     ----------
     path : Path, optional
         Absolute.
-    digest : str, optional
-        SHA-256 of the file.
+    text : str, optional
     content
         For :meth:`rules_of`.
+    fault : str, optional
+        Why the file cannot be used, a sentence; then the rest is of an earlier version.
     """
 
     path: Path | None = None
-    digest: str | None = None
+    text: str | None = None
     content: _Content = field(default_factory=_Content)
+    fault: str | None = None
+
+    @property
+    def digest(self) -> str | None:
+        """SHA-256 of the text."""
+        return None if self.text is None else hashlib.sha256(self.text.encode()).hexdigest()
 
     @property
     def streams(self) -> set[str]:
@@ -172,7 +180,7 @@ def read_zones(path: Path) -> ZonesFile:
     except ValidationError as invalid:
         faults = "\n".join(f"  {_fault(tree, fault['loc'], fault['msg'])}" for fault in invalid.errors())
         raise ConfigError(f"--zones: {path} cannot be used:\n{faults}") from None
-    return ZonesFile(path.absolute(), hashlib.sha256(text.encode()).hexdigest(), content)
+    return ZonesFile(path.absolute(), text, content)
 
 
 def _refuse_twice(path: Path, node: yaml.Node) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import ipaddress
 from dataclasses import dataclass
+
+from orchestrator.loopback import is_loopback
 
 __all__ = ["TOKEN_VARIABLE", "MonitorAddress"]
 
@@ -29,7 +30,4 @@ class MonitorAddress:
     @property
     def is_loopback(self) -> bool:
         """Whether only this machine can reach it."""
-        try:
-            return ipaddress.ip_address(self.host).is_loopback
-        except ValueError:
-            return self.host == "localhost"
+        return is_loopback(self.host)

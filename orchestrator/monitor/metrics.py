@@ -115,6 +115,7 @@ TARGET_METRICS = (
     TargetMetric(
         "mlbs_events_away_seconds", "For how long a target has accepted nothing.", lambda b: b.away_seconds
     ),
+    TargetMetric("mlbs_events_refused", "Events that a target has refused.", lambda b: b.refused),
 )
 
 #: Gauge that is 1 for a stream's current state, which is in its label ``state``.

@@ -100,7 +100,7 @@ function listEvents(box, stream) {
       picture.type = "button";
       picture.addEventListener("click", () => {
         enlarged = null;
-        showLarge(`/streams/${encodeURIComponent(stream.name)}/${event.picture}`, describe(event));
+        showLarge(`streams/${encodeURIComponent(stream.name)}/${event.picture}`, describe(event));
         large.showModal();
       });
       line.append(" ", picture);
@@ -124,7 +124,7 @@ function show(stream, number) {
   for (const rare of element.querySelectorAll(".rare")) rare.hidden = !stream[rare.lastElementChild.dataset.key];
   const image = element.querySelector(".picture img");
   if (stream.picture) {
-    image.dataset.newest = `/pictures/${number}.jpg?${stream.picture}`;
+    image.dataset.newest = `pictures/${number}.jpg?${stream.picture}`;
     image.alt = `Newest frame of ${stream.name} with its objects outlined and numbered`;
     if (element.classList.contains("in-sight") || image === enlarged) load(image);
   }
@@ -134,8 +134,15 @@ function show(stream, number) {
 }
 
 function describeBacklog(target) {
-  const count = `${target.waiting} ${target.waiting === 1 ? "event waits" : "events wait"} for ${target.target}`;
-  return `${count}, away since ${new Date(target.away_since).toLocaleTimeString()}`;
+  const words = [];
+  if (target.away_since) {
+    const count = `${target.waiting} ${target.waiting === 1 ? "event waits" : "events wait"} for ${target.target}`;
+    words.push(`${count}, away since ${new Date(target.away_since).toLocaleTimeString()}`);
+  }
+  if (target.refused) {
+    words.push(`${target.refused} ${target.refused === 1 ? "event" : "events"} refused by ${target.target}`);
+  }
+  return words.join("; ");
 }
 
 // Those at work first. The cards themselves change places, so that a screen reader reads what the eye sees.
@@ -153,12 +160,12 @@ function arrange(streams) {
 async function refresh() {
   if (pause.getAttribute("aria-pressed") === "false") {
     try {
-      const answer = await fetch("/status.json");
+      const answer = await fetch("status.json");
       const status = await answer.json();
       status.streams.forEach(show);
-      const away = status.events.filter((target) => target.away_since);
-      waiting.hidden = !away.length;
-      write(waiting, away.map(describeBacklog).join("; "));
+      const troubled = status.events.filter((target) => target.away_since || target.refused);
+      waiting.hidden = !troubled.length;
+      write(waiting, troubled.map(describeBacklog).join("; "));
       const counts = new Map();
       for (const stream of arrange(status.streams)) counts.set(stream.state, (counts.get(stream.state) || 0) + 1);
       write(summary, [...counts].map(([state, count]) => `${count} ${state}`).join(", "));

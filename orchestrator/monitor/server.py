@@ -2,7 +2,7 @@
 
 The page is static and requests ``/status.json`` twice a second; pictures are files that the sink writes at
 most twice a second, or ten times for the streams that are sent on as Motion JPEG. So viewers never slow a
-frame, however many there are.
+frame, however many there are. All addresses are relative, so that a proxy may serve the page below a path.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import json
 import os
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
@@ -37,6 +37,11 @@ _FILES = {
     "/": ("page.html", "text/html; charset=utf-8"),
     "/monitor.js": ("monitor.js", "text/javascript; charset=utf-8"),
     "/monitor.css": ("monitor.css", "text/css; charset=utf-8"),
+}
+#: What probes ask for, and whether it is so: the command answers; a stream is under way.
+_HEALTH: dict[str, Callable[[Board], bool]] = {
+    "/healthz": lambda _: True,
+    "/readyz": lambda board: any(state.state not in ("waiting", "starting") for state in board.states),
 }
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -106,14 +111,17 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer with a file of the page, the status, or a picture."""
         url = urlsplit(self.path)
+        if url.path in _HEALTH:  # they tell nothing that needs a token
+            self._answer_on_health(_HEALTH[url.path])
+            return
         if self.server.token:
             given = parse_qs(url.query).get("token", [""])[0]
             is_known = bool(given) and self._is_token(given)
             # A player of pictures keeps no cookie.
             if is_known and not url.path.endswith(_MOTION_JPEG):
                 # A cookie keeps the token from now on, so that it is not in the browser's history.
-                cookie = f"{_COOKIE}={given}; HttpOnly; SameSite=Strict; Path=/"
-                self._answer(HTTPStatus.SEE_OTHER, b"", "text/plain", {"Location": "/", "Set-Cookie": cookie})
+                headers = {"Location": "./", "Set-Cookie": f"{_COOKIE}={given}; HttpOnly; SameSite=Strict"}
+                self._answer(HTTPStatus.SEE_OTHER, b"", "text/plain", headers)
                 return
             if not is_known and not self._is_token(self._bearer()) and not self._is_token(self._cookie()):
                 self._refuse(HTTPStatus.UNAUTHORIZED, "Open this page with ?token=… in its address.")
@@ -136,6 +144,12 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.OK, picture, "image/jpeg")
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "There is nothing here.")
+
+    def _answer_on_health(self, is_enough: Callable[[Board], bool]) -> None:
+        if is_enough(self.server.board):
+            self._answer(HTTPStatus.OK, b"ok\n", "text/plain; charset=utf-8")
+        else:
+            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "No stream is under way yet.")
 
     def log_message(self, format: str, *arguments: object) -> None:
         """Do nothing: the terminal belongs to the progress, and a line could contain the token."""

@@ -90,6 +90,8 @@ def words_on_resuming(begun: Mapping[str, Any], description: Mapping[str, Any], 
     """Return what the user should know about the resumed run."""
     words = f"Going on with the run of {begun['started']}"
     words += f"; {count_of(ended, 'stream')} ended before." if ended else "."
+    if begun.get("zones") != description["zones"]:
+        words += "\nThe zones are others than then: events follow them from here on."
     for key in ("versions", "machine"):
         if begun.get(key) != description[key]:
             words += f"\nThe {key} are not those of then (see run.json): label maps from here on may differ."

@@ -57,6 +57,7 @@ from orchestrator.run.stream_list import ListedStream, refuse_if_all
 from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
 from orchestrator.run.versions import installed_versions
 from orchestrator.run.whole_overlays import make_all_whole
+from orchestrator.run.zones_history import keep_zones
 from orchestrator.sinks.overlay import overlays, stream_remarks
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.sinks.segments import segment_folders
@@ -133,7 +134,7 @@ def run(
         if begun is not None:
             folder.refuse_other(begun, job.description)
             hold.enter_context(folder.locked())
-            changed = {key: job.description[key] for key in ("sources", "hashes", "keep", "command")}
+            changed = {key: job.description[key] for key in ("sources", "hashes", "keep", "zones", "command")}
             if changed != {key: begun.get(key) for key in changed}:
                 try:
                     folder.redescribe(begun | changed)
@@ -174,6 +175,11 @@ def run(
         if begun is None:
             folder.create(job.description)
             hold.enter_context(folder.locked())
+        if arguments.zones.text is not None:
+            try:
+                keep_zones(folder.path, arguments.zones.text)
+            except OSError as error:
+                raise ConfigError(f"Cannot write to {folder.path}: {error.strerror}.") from None
         session.enter_context(deliveries)
         if at_work:
             lengths = {name: one.length for name, one in survey.finish().items() if one.length is not None}

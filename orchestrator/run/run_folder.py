@@ -37,12 +37,8 @@ _SAME = {
     "max_frames": "--max-frames",
     "max_side": "--max-side",
     "ignored": "files to --ignore",
-    "zones": "contents of the file of --zones",
     "segment": "--segment",
 }
-
-#: Those of them of which no differences are listed.
-_UNLISTED = ("sources", "zones")
 
 #: Most differences of parameters that the message about a resumed run lists.
 _MOST_CHANGES = 3
@@ -167,12 +163,7 @@ class RunFolder:
                 continue
             recorded = self.recorded_sources(begun) if key == "sources" else {}
             if key != "sources" or not recorded.items() <= description[key].items():
-                if key == "zones" and not begun.get(key):
-                    raise ConfigError(
-                        f"The run in {self.path} was started without --zones, on which its events depend: "
-                        "leave it out, or begin another folder with --output."
-                    )
-                changes = "" if key in _UNLISTED else f" ({_changes(begun.get(key), description[key])})"
+                changes = "" if key == "sources" else f" ({_changes(begun.get(key), description[key])})"
                 raise ConfigError(
                     f"The run in {self.path} had other {meaning}{changes}; give the same ones as then (see "
                     "its run.json), or another folder with --output."

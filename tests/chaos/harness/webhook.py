@@ -11,7 +11,7 @@ __all__ = ["Webhook"]
 
 
 class Webhook(ThreadingHTTPServer):
-    """Notes what it is sent; refuses it while it is ``away``."""
+    """Notes what it is sent; takes nothing while it is ``away``, and no events of objects in ``refused``."""
 
     daemon_threads = True
 
@@ -19,6 +19,7 @@ class Webhook(ThreadingHTTPServer):
         self.events: list[dict[str, Any]] = []
         self.headers: list[dict[str, str]] = []
         self.away = False
+        self.refused: set[int] = set()
         super().__init__(("127.0.0.1", port), _Answer)
         threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
 
@@ -43,10 +44,12 @@ class _Answer(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         body = self.rfile.read(int(self.headers["Content-Length"]))
-        if not self.server.away:
+        event = json.loads(body)
+        refused = event.get("object") in self.server.refused
+        if not self.server.away and not refused:
             self.server.headers.append(dict(self.headers))
-            self.server.events.append(json.loads(body))
-        self.send_response(503 if self.server.away else 204)
+            self.server.events.append(event)
+        self.send_response(503 if self.server.away else 422 if refused else 204)
         self.end_headers()
 
     def log_message(self, *_: object) -> None:

@@ -27,7 +27,13 @@ from orchestrator.credentials import PASSWORD_VARIABLE
 from orchestrator.events import delivery as delivery_module
 from orchestrator.events import targets as targets_module
 from orchestrator.events.delivery import Deliveries
-from orchestrator.events.targets import DeliveryError, EventTarget, open_sender, parse_target
+from orchestrator.events.targets import (
+    DeliveryError,
+    EventTarget,
+    RefusedEventError,
+    open_sender,
+    parse_target,
+)
 from orchestrator.sinks.record import StreamRecord
 
 
@@ -86,6 +92,39 @@ def test_every_event_arrives_once_and_in_order_though_the_webhook_is_away(
     assert len(set(webhook.ids)) == len(webhook.ids) > 20
     assert said[0].endswith("it answers 503 Service Unavailable. It is tried again.")
     assert said[1:] == ["Events are delivered to http://127.0.0.1:" + said[1].split(":")[2]]
+
+
+def test_an_event_that_a_webhook_refuses_is_set_aside_and_the_others_arrive(
+    tmp_path: Path, webhook: Webhook
+) -> None:
+    said: list[str] = []
+    webhook.refused = {5}
+    gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
+    with Deliveries([parse_target(webhook.url)], tmp_path, said.append) as deliveries:
+        write(gate, 0, 60)
+        gate.close(whole=True)
+    lines = [json.loads(line) for line in (tmp_path / "events-refused.jsonl").read_text().splitlines()]
+    aside = [line["event"]["id"] for line in lines]
+    assert sorted([*webhook.ids, *aside]) == sorted(ids(tmp_path / "gate"))
+    assert webhook.ids == [one for one in ids(tmp_path / "gate") if one not in aside]
+    assert len(aside) > 2
+    assert {line["event"]["object"] for line in lines} == {5}
+    assert {line["answer"] for line in lines} == {"it answers 422 Unprocessable Entity"}
+    assert len(said) == 1
+    assert "refuses an event: it answers 422 Unprocessable Entity. It is set aside" in said[0]
+    [backlog] = deliveries.backlogs()
+    assert (backlog.waiting, backlog.away_since, backlog.refused) == (0, None, len(aside))
+    with Deliveries([parse_target(webhook.url)], tmp_path, said.append) as again:
+        assert again.backlogs()[0].refused == len(aside)  # they count after a restart, too
+
+
+def test_a_webhook_on_this_machine_is_not_asked_for_at_the_proxy(
+    webhook: Webhook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9/")
+    monkeypatch.delenv("no_proxy", raising=False)
+    open_sender(parse_target(webhook.url)).send(b'{"id": "a"}')
+    assert webhook.ids == ["a"]
 
 
 def test_targets_that_look_alike_without_their_secrets_have_names_of_their_own(tmp_path: Path) -> None:
@@ -148,22 +187,30 @@ def test_a_password_is_sent_and_shown_nowhere(
     assert parse_target("http://host/x").password is None
 
 
-def test_a_webhook_that_sends_elsewhere_has_not_taken_the_event(webhook: Webhook) -> None:
-    class Elsewhere(BaseHTTPRequestHandler):
+@pytest.mark.parametrize(
+    ("status", "kind"),
+    [(302, DeliveryError), (401, DeliveryError), (404, DeliveryError), (400, RefusedEventError)],
+)
+def test_a_webhook_that_does_not_accept_has_not_taken_the_event(
+    webhook: Webhook, status: int, kind: type[DeliveryError]
+) -> None:
+    class Other(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
-            self.send_response(302)
+            self.send_response(status)
             self.send_header("Location", webhook.url)
             self.end_headers()
 
         def log_message(self, *_: object) -> None:
             return
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), Other) as server:
         threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
         sender = open_sender(parse_target(f"http://127.0.0.1:{server.server_address[1]}/x"))
-        with pytest.raises(DeliveryError, match="it answers 302"):
+        with pytest.raises(DeliveryError, match=f"it answers {status}") as refused:
             sender.send(b'{"id": "1"}')
         server.shutdown()
+    assert type(refused.value) is kind
+    assert not webhook.ids
 
 
 @pytest.mark.parametrize(

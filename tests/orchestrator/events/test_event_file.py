@@ -21,8 +21,8 @@ SAVE = frozenset({"parquet"})
 FRAMES = 100
 
 
-def record(folder: Path, *, replayable: bool = True) -> StreamRecord:
-    return StreamRecord(folder, "yard", SAVE, rules=RULES, replayable=replayable)
+def record(folder: Path, *, replayable: bool = True, rules: EventRules = RULES) -> StreamRecord:
+    return StreamRecord(folder, "yard", SAVE, rules=rules, replayable=replayable)
 
 
 def write(one: StreamRecord, begin: int, end: int) -> None:
@@ -170,6 +170,35 @@ def test_events_of_a_camera_are_there_before_their_commit_and_go_without_it(tmp_
     assert [event["frame"] for event in before[:4]] == [0, 0, 6, 8]
     again.gap(9, 30.0, "gap")
     assert lines(tmp_path)[-1]["kind"] == "stream lost"
+
+
+RIGHT = ((20, 0), (30, 0), (30, 40), (20, 40))
+
+
+@pytest.mark.parametrize("name", ["middle", "right"])
+def test_a_record_that_is_opened_with_other_zones_follows_them_and_says_so(tmp_path: Path, name: str) -> None:
+    one = record(tmp_path, replayable=False)
+    write(one, 0, 14)  # object 3 has been in the zone since frame 6
+    assert one.keep(snapshot(one, 14))
+    before = lines(tmp_path)
+    other = replace(RULES, zones=(Zone(name=name, polygon=RIGHT),))
+    again = record(tmp_path, replayable=False, rules=other)
+    write(again, 14, 26)
+    said = lines(tmp_path)[len(before) :]
+    assert (said[0]["kind"], said[0]["frame"]) == ("configured", 14)
+    zones = [
+        (event["kind"], event["frame"], event["zone"], event["reason"]) for event in said if event["zone"]
+    ]
+    gone = "the zone is gone" if name == "right" else None
+    assert zones == [("left", 14, "middle", gone), ("entered", 16, name, None)]
+    # Killed before a commit, it says the same again; afterwards nothing more of it.
+    ids = [event["id"] for event in lines(tmp_path)]
+    again = record(tmp_path, replayable=False, rules=other)
+    write(again, 14, 26)
+    assert [event["id"] for event in lines(tmp_path)] == ids
+    assert again.keep(snapshot(again, 26))
+    record(tmp_path, replayable=False, rules=other)
+    assert [event["id"] for event in lines(tmp_path)] == ids
 
 
 @pytest.mark.parametrize("kept_before", [True, False])

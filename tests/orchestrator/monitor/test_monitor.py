@@ -27,7 +27,7 @@ from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.metrics import MetricsText
 from orchestrator.monitor.server import serving
-from orchestrator.run.stream_state import StreamState, after_progress, after_start
+from orchestrator.run.stream_state import StateName, StreamState, after_progress, after_start
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path, watch
 from orchestrator.sinks.record import StreamRecord
 
@@ -251,7 +251,7 @@ def test_who_knows_the_token_gets_in_by_address_cookie_or_header_and_nobody_else
             answer, body = get(url, path)
             assert (answer.status, TOKEN in body.decode()) == (401, False)
         answer, _ = get(url, f"/?token={TOKEN}")
-        assert (answer.status, answer.getheader("Location")) == (303, "/")
+        assert (answer.status, answer.getheader("Location")) == (303, "./")
         cookie = answer.getheader("Set-Cookie") or ""
         assert "HttpOnly" in cookie
         assert get(url, "/status.json", Cookie=cookie.partition(";")[0])[0].status == 200
@@ -259,6 +259,25 @@ def test_who_knows_the_token_gets_in_by_address_cookie_or_header_and_nobody_else
         assert get(url, f"/streams/<b>.mjpg?token={TOKEN}")[0].status == 200  # a player keeps no cookie
         assert get(url, "/streams/<b>.mjpg?token=wrong")[0].status == 401
         assert get(url, "/status.json", Cookie="mlbs-monitor=wrong; \x7f")[0].status == 401
+
+
+@pytest.mark.parametrize("state", [None, "waiting", "starting", "running", "failed"])
+def test_probes_need_no_token_and_learn_whether_a_stream_is_under_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, state: StateName | None
+) -> None:
+    monkeypatch.setenv(TOKEN_VARIABLE, TOKEN)
+    board = Board(tmp_path, tmp_path)
+    board.update([] if state is None else [StreamState("a", state), StreamState("b")])
+    with serving(MonitorAddress("0.0.0.0", 0), board) as url:
+        assert get(url, "/healthz", Host="pod.cluster")[0].status == 200
+        ready = get(url, "/readyz", Host="pod.cluster")[0].status
+        assert ready == (200 if state in ("running", "failed") else 503)
+
+
+def test_the_page_can_be_served_below_a_path(url: str) -> None:
+    for path in ("/", "/monitor.js", "/monitor.css"):
+        text = get(url, path)[1].decode()
+        assert not re.search(r"""(?:href|src)=["']/|fetch\(["'`]/|["'`(]/(?:pictures|streams)/""", text)
 
 
 # Its life
