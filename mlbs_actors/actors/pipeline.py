@@ -308,6 +308,10 @@ class StreamActors:
             self._under_way()
         return progress
 
+    def configure(self, settings: object) -> None:
+        """See :meth:`RunningStream.configure`."""
+        self._links.sink.configure.remote(self._run, settings)
+
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
         """End the stream and release its processes; may be called twice, and after a failure.
 

@@ -32,12 +32,23 @@ class StreamEvents:
     """
 
     def __init__(self, folder: Path, stream: str, rules: EventRules, rows: int) -> None:
+        self._folder = folder
         self._file = EventFile(folder, stream, rules, rows)
-        self._pictures = EventPictures(folder) if rules.zones else None
+        self._pictures: EventPictures | None = None
         self._views = folder / VIEWS
         self._new_views: list[tuple[int, Path]] = []  # not committed yet, with their frames
         self._scene: SceneTracker | None = None
-        if rules.of_scene:
+        self._prepare(rules, rows)
+
+    def configure(self, rules: EventRules, rows: int) -> None:
+        """Follow other rules after the rows so far, of which ``rows`` count; OSError as the disk says."""
+        self._file.configure(rules)
+        self._prepare(rules, rows)
+
+    def _prepare(self, rules: EventRules, rows: int) -> None:
+        if self._pictures is None and rules.zones:
+            self._pictures = EventPictures(self._folder)
+        if self._scene is None and rules.of_scene:
             self._views.mkdir(exist_ok=True)
             remove_temporary(self._views)
             state = self._file.state

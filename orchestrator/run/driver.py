@@ -49,10 +49,21 @@ class Observer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SpecChange:
-    """Streams to add to a run, and names to end."""
+    """What is to become of a run's streams.
 
-    added: tuple[StreamSpec, ...]
-    removed: tuple[str, ...]
+    Attributes
+    ----------
+    added : tuple of StreamSpec
+        New ones.
+    removed : tuple of str
+        Names of those to end.
+    configured : tuple of (StreamSpec, object)
+        How others are to start from now on, and what their records are to follow at once.
+    """
+
+    added: tuple[StreamSpec, ...] = ()
+    removed: tuple[str, ...] = ()
+    configured: tuple[tuple[StreamSpec, object], ...] = ()
 
 
 class Driver:
@@ -152,6 +163,11 @@ class Driver:
             else:
                 self._states[name] = after_removal(self._states[name], None)
         self._coming |= {spec.name: spec for spec in change.added}
+        for spec, settings in change.configured:
+            known = self._coming if spec.name in self._coming else self._specs
+            known[spec.name] = spec
+            if spec.name in self._streams:
+                self._streams[spec.name].configure(settings)
         self._show()
 
     def _add_coming(self) -> None:

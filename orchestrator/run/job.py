@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from mlbs_actors.config import Config
+from mlbs_actors.errors import ConfigError
 from mlbs_actors.source import FrameReader
 from orchestrator.command_line import Arguments
 from orchestrator.credentials import mask
-from orchestrator.events.zones import EventRules
+from orchestrator.events.zones import EventRules, read_zones
 from orchestrator.run.driver import SpecChange
+from orchestrator.run.file_watch import FileWatch
 from orchestrator.run.list_watch import ListWatch
 from orchestrator.run.run_folder import RunFolder, RunSettings, describe_run
 from orchestrator.run.stream_list import ListedStream
+from orchestrator.run.zones_history import keep_zones
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.record import StreamRecord, ends_group
 from orchestrator.sources.address import SourceAddress, SourceKind
@@ -74,6 +78,8 @@ class Job:
             self._watch = ListWatch(
                 arguments.streams, listed, self._recorded_source, lambda text: say(mask(text))
             )
+        zones = arguments.zones.path
+        self._zones_watch = FileWatch(zones) if arguments.watch and zones is not None else None
 
     @property
     def specs(self) -> list[StreamSpec]:
@@ -89,17 +95,42 @@ class Job:
         return self._arguments.zones.rules_of(name, self._config.layers.dormant_frames)
 
     def changes(self) -> SpecChange | None:
-        """Return changes to the list."""
+        """Return changes to the list, and to the file of zones."""
         change = None if self._watch is None else self._watch.look()
-        if change is None:
+        configured = self._with_other_zones()
+        if change is None and not configured:
             return None
-        self._streams |= {stream.name: stream for stream in change.added}
+        added, removed = ((), ()) if change is None else (change.added, change.removed)
+        self._streams |= {stream.name: stream for stream in added}
         self.description = self._described() | {"started": self.description["started"]}
         try:
             self._folder.redescribe(self.description)
         except OSError as error:
             self._say(f"{self._folder.path}/run.json cannot be written: {error.strerror}; free some space.")
-        return SpecChange(tuple(self._spec(stream) for stream in change.added), change.removed)
+        others = ((self._spec(self._streams[name]), self.rules(name)) for name in configured)
+        return SpecChange(tuple(map(self._spec, added)), removed, tuple(others))
+
+    def _with_other_zones(self) -> list[str]:
+        """Read the file of zones again if it has changed; return the streams with other rules."""
+        if self._zones_watch is None or not self._zones_watch.has_changed():
+            return []
+        path = self._arguments.zones.path
+        assert path is not None  # watched
+        before = {name: self.rules(name) for name in self._streams}
+        try:
+            zones = read_zones(path)
+        except ConfigError as error:
+            self._say(f"{str(error).rstrip('.')}. The zones of before hold on.")
+            return []
+        self._arguments = replace(self._arguments, zones=zones)
+        changed = [name for name, rules in before.items() if rules != self.rules(name)]
+        if changed:
+            self._say(f"Other zones, from now on: {', '.join(changed)}.")
+        try:
+            keep_zones(self._folder.path, zones.text or "")
+        except OSError as error:
+            self._say(f"{self._folder.path} cannot be written to: {error.strerror}; free some space.")
+        return changed
 
     def _recorded_source(self, name: str) -> str | None:
         if name in self._unlisted:

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, SourceError
+from orchestrator.run.file_watch import FileWatch
 from orchestrator.run.stream_list import ListedStream, parse_stream_list
 from orchestrator.sources.presence import require_source
 
 __all__ = ["ListChange", "ListWatch"]
-
-#: Interval of checks of the list, s.
-_LOOK_SECONDS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +61,13 @@ class ListWatch:
     ) -> None:
         self._path = path
         self._report = report
-        self._clock = clock
         self._recorded = recorded
         self._present = {stream.name: stream.source for stream in streams}
-        self._looked_at = clock()
-        self._seen = self._read_stamp = self._stamp()
+        self._file = FileWatch(path, clock)
 
     def look(self) -> ListChange | None:
         """Check the list if it is time; return its changes, or None."""
-        now = self._clock()
-        if now - self._looked_at < _LOOK_SECONDS:
-            return None
-        self._looked_at = now
-        before, self._seen = self._seen, self._stamp()
-        # Read when two checks see the same, so that no half-written list is taken for a complete one.
-        if self._seen == self._read_stamp or self._seen != before:
-            return None
-        self._read_stamp = self._seen
-        return self._read()
+        return self._read() if self._file.has_changed() else None
 
     def _read(self) -> ListChange | None:
         try:
@@ -116,10 +103,3 @@ class ListWatch:
             faults[stream.line] = str(error).rstrip(".")
             return False
         return True
-
-    def _stamp(self) -> tuple[int, ...] | None:
-        try:
-            status = self._path.stat()
-        except OSError:
-            return None
-        return status.st_mtime_ns, status.st_size, status.st_ino

@@ -52,14 +52,14 @@ class LivePicture:
     clock : callable
         Monotonic time, s.
     zones : sequence of Zone
-        Drawn over the picture.
+        Drawn over the picture; may be replaced later.
     """
 
     def __init__(
         self, path: Path, clock: Callable[[], float] = time.monotonic, zones: Sequence[Zone] = ()
     ) -> None:
         self._path = path
-        self._zones = zones
+        self.zones = zones
         self._clock = clock
         self._written: float | None = None
         self._unshown: tuple[Array, Array, int, ScenePlace | None] | None = None
@@ -93,7 +93,7 @@ class LivePicture:
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
             labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
         drawn = draw_labels(image, labels)
-        draw_zones(drawn, self._zones, (height, width), scene)
+        draw_zones(drawn, self.zones, (height, width), scene)
         draw_caption(drawn, f"frame {index}")
         _, jpeg = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         with suppress(OSError):

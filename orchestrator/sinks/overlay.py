@@ -122,7 +122,7 @@ class OverlayVideo:
     sound : SourceAddress, optional
         The source, whose sound is copied if it is a file that has some.
     zones : sequence of Zone
-        Drawn over every frame.
+        Drawn over every frame; may be replaced later.
     growing : bool
         Whether it can be played before it is closed.
     """
@@ -137,7 +137,7 @@ class OverlayVideo:
     ) -> None:
         self._path = path
         self._growing = growing
-        self._zones = zones
+        self.zones = zones
         self._source_of_sound = sound
         self._sound: SoundReader | None = None
         self._sound_stream: av.AudioStream | None = None
@@ -168,7 +168,7 @@ class OverlayVideo:
             container, stream = self._opened(image.shape, pixel_aspect)
             size = (stream.width, stream.height)
             drawn = draw_labels(image, labels, regions)
-            draw_zones(drawn, self._zones, drawn.shape[:2], scene)
+            draw_zones(drawn, self.zones, drawn.shape[:2], scene)
             draw_caption(drawn, f"frame {index}")
             drawn = _padded(drawn)
             if (drawn.shape[1], drawn.shape[0]) != size:

@@ -196,6 +196,20 @@ class StreamRecord:
         except OSError as error:
             raise self._unwritable(error) from None
 
+    def configure(self, settings: object) -> None:
+        """Follow other rules of events, which are an :class:`EventRules`, from the next row on."""
+        assert isinstance(settings, EventRules)
+        self._rules = settings
+        for shown in (self._live, self._overlay):
+            if shown is not None:
+                shown.zones = settings.zones
+        try:
+            with self._log.exclusive():
+                self._events.configure(settings, self._log.rows)
+            self._write_events()
+        except OSError as error:
+            raise self._unwritable(error) from None
+
     def keep(self, snapshot: Snapshot) -> bool:
         """Register a snapshot to go back to; False if its files are not complete yet.
 

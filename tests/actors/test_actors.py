@@ -513,6 +513,22 @@ def test_a_record_takes_no_row_after_one_that_was_lost_on_its_way(host: str, tmp
     end([sink])
 
 
+@pytest.mark.parametrize("is_open", [True, False])
+def test_a_record_follows_other_settings_even_if_they_come_before_it_is_open(
+    host: str, tmp_path: Path, is_open: bool
+) -> None:
+    (tmp_path / "reads").touch()
+    sink = spawn(SinkActor, node=here())
+    calls = [sink.open.remote(1, FakeSink(tmp_path).opened)] if is_open else []
+    calls.append(sink.configure.remote(1, "others"))
+    if not is_open:
+        calls.append(sink.open.remote(1, FakeSink(tmp_path).opened))
+    for call in calls:
+        get(call)
+    assert (tmp_path / "configured").read_text() == "others"
+    end([sink])
+
+
 # ---- the engine
 
 

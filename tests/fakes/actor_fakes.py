@@ -438,6 +438,9 @@ class FakeSink:
     def keep(self, snapshot: Snapshot) -> bool:
         return False
 
+    def configure(self, settings: object) -> None:
+        (self.folder / "configured").write_text(str(settings))
+
     def silent(self) -> None:
         (self.folder / "silent").touch()
 

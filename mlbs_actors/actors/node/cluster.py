@@ -282,6 +282,9 @@ class _Placed:
     def advance(self) -> Future[StreamProgress]:
         return self.stream.advance()
 
+    def configure(self, settings: object) -> None:
+        self.stream.configure(settings)
+
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
         try:
             return self.stream.stop(drain=drain, returns=returns)

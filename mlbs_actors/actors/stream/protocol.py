@@ -104,6 +104,9 @@ class StreamSink(Protocol):
     def silent(self) -> None:
         """Note that a camera sends nothing at present; a gap may follow, or the next picture."""
 
+    def configure(self, settings: object) -> None:
+        """Follow other settings from the next row on; they are those of whoever has opened the record."""
+
     def keep(self, snapshot: Snapshot) -> bool:
         """Register a snapshot to go back to; False if its files are not complete yet."""
 
@@ -250,6 +253,9 @@ class RunningStream(Protocol):
         at the last try, the death of a replayable source's reader; before the first frame that is a
         SourceError.
         """
+
+    def configure(self, settings: object) -> None:
+        """Have the record follow other settings (:meth:`StreamSink.configure`) soon; return at once."""
 
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
         """End the stream and release its processes; may be called twice, and after a failure.

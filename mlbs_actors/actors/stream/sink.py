@@ -56,6 +56,7 @@ class SinkActor:
         limit_process()
         relax_thread_timers()
         self._records: dict[int, tuple[StreamSink, FrameOrder, SharedMemory]] = {}
+        self._settings: dict[int, object] = {}  # for records that are not open yet
 
     def open(self, run: int, open_sink: Callable[[], StreamSink]) -> Opening:
         """Open a stream's record."""
@@ -63,7 +64,16 @@ class SinkActor:
         settle_memory()
         before = sink.opening.resume_from
         self._records[run] = sink, FrameOrder(-1 if before is None else before.rows - 1), SharedMemory()
+        if run in self._settings:
+            sink.configure(self._settings.pop(run))
         return sink.opening
+
+    def configure(self, run: int, settings: object) -> None:
+        """See :meth:`StreamSink.configure`; of a record that is not open yet, once it is."""
+        if run in self._records:
+            self._record(run)[0].configure(settings)
+        else:
+            self._settings[run] = settings
 
     def take(self, run: int, rows: Sequence[LabelRow | GapRow]) -> int:
         """Write the next rows; return the number of label maps committed so far."""
@@ -94,6 +104,7 @@ class SinkActor:
 
     def close(self, run: int, whole: bool = False) -> int:
         """Commit the rest, close the stream's files and forget it; return the final count, 0 if forgotten."""
+        self._settings.pop(run, None)
         sink, *_ = self._records.pop(run, (None,))
         return 0 if sink is None else sink.close(whole=whole)
 

@@ -185,6 +185,9 @@ class EmptySink:
         """Decline the snapshot; none is requested."""
         return False
 
+    def configure(self, settings: object) -> None:
+        """Do nothing: there is nothing to follow."""
+
     def silent(self) -> None:
         """Do nothing: nothing is recorded."""
 

@@ -127,6 +127,10 @@ class RecordingSink:
         """See :class:`StreamSink`."""
         return self._sink.gap(index, pts, status)
 
+    def configure(self, settings: object) -> None:
+        """See :class:`StreamSink`."""
+        self._sink.configure(settings)
+
     def keep(self, snapshot: Snapshot) -> bool:
         """See :class:`StreamSink`."""
         return self._sink.keep(snapshot)

@@ -172,7 +172,13 @@ def test_events_of_a_camera_are_there_before_their_commit_and_go_without_it(tmp_
     assert lines(tmp_path)[-1]["kind"] == "stream lost"
 
 
-RIGHT = ((20, 0), (30, 0), (30, 40), (20, 40))
+def in_zones(events: list[dict[str, Any]]) -> list[tuple[str, int, str, str | None]]:
+    """What object 3 does in zones."""
+    keys = ("kind", "frame", "zone", "reason")
+    return [tuple(one[key] for key in keys) for one in events if one["object"] == 3 and one["zone"]]
+
+
+RIGHT = ((24, 0), (34, 0), (34, 40), (24, 40))
 
 
 @pytest.mark.parametrize("name", ["middle", "right"])
@@ -186,11 +192,8 @@ def test_a_record_that_is_opened_with_other_zones_follows_them_and_says_so(tmp_p
     write(again, 14, 26)
     said = lines(tmp_path)[len(before) :]
     assert (said[0]["kind"], said[0]["frame"]) == ("configured", 14)
-    zones = [
-        (event["kind"], event["frame"], event["zone"], event["reason"]) for event in said if event["zone"]
-    ]
     gone = "the zone is gone" if name == "right" else None
-    assert zones == [("left", 14, "middle", gone), ("entered", 16, name, None)]
+    assert in_zones(said) == [("left", 14, "middle", gone), ("entered", 20, name, None)]
     # Killed before a commit, it says the same again; afterwards nothing more of it.
     ids = [event["id"] for event in lines(tmp_path)]
     again = record(tmp_path, replayable=False, rules=other)
@@ -199,6 +202,26 @@ def test_a_record_that_is_opened_with_other_zones_follows_them_and_says_so(tmp_p
     assert again.keep(snapshot(again, 26))
     record(tmp_path, replayable=False, rules=other)
     assert [event["id"] for event in lines(tmp_path)] == ids
+
+
+def test_a_record_follows_other_zones_in_the_middle_and_goes_on_by_them_after_a_kill(tmp_path: Path) -> None:
+    one = record(tmp_path, replayable=False)
+    write(one, 0, 14)
+    one.configure(replace(RULES, zones=(Zone(name="right", polygon=RIGHT),)))
+    write(one, 14, 26)
+    said = lines(tmp_path)
+    assert [event["kind"] for event in said].count("configured") == 1
+    assert in_zones(said) == [
+        ("entered", 6, "middle", None),
+        ("left", 14, "middle", "the zone is gone"),
+        ("entered", 20, "right", None),
+    ]
+    assert next(event for event in said if event["zone"] == "right")["picture"]
+    assert one.keep(snapshot(one, 20))
+    record(tmp_path, replayable=False, rules=replace(RULES, zones=(Zone(name="right", polygon=RIGHT),)))
+    kept = lines(tmp_path)
+    assert kept == said[: len(kept)]
+    assert "configured" in {event["kind"] for event in kept}
 
 
 @pytest.mark.parametrize("kept_before", [True, False])

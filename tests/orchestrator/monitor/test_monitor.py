@@ -122,7 +122,7 @@ def test_prometheus_gets_a_sample_for_every_stream_and_metric(url: str) -> None:
     assert float(samples['mlbs_stream_latency_seconds{stream="yard"}']) == pytest.approx(0.3124)
     assert samples['mlbs_stream_state{stream="<b>",state="failed"}'] == "1"
     kinds = [line.split()[2] for line in body.decode().splitlines() if line.startswith("# TYPE")]
-    assert len(kinds) == len(set(kinds)) == (len(samples) - 2) / 3 + 2
+    assert len(kinds) == len(set(kinds)) == (len(samples) - 3) / 3 + 3
     assert samples['mlbs_events_waiting{target="mqtt://broker/***"}'] == "3.0"
     assert float(samples['mlbs_events_away_seconds{target="mqtt://broker/***"}']) > 1e9
     hostile = MetricsText()([StreamState('a"b\\c')])

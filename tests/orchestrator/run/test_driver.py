@@ -70,6 +70,7 @@ class FakeStream:
     returns: bool = False
     on_advance: Callable[[], None] = lambda: None
     node: str | None = None
+    settings: list[object] = field(default_factory=list)
 
     def advance(self) -> Future[StreamProgress]:
         assert not self.stops, "advanced after its end"
@@ -81,6 +82,9 @@ class FakeStream:
         else:
             future.set_result(progress(self.read, done=self.read == self.frames, problem=self.problem))
         return future
+
+    def configure(self, settings: object) -> None:
+        self.settings.append(settings)
 
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
         self.stops.append(drain)
@@ -663,6 +667,36 @@ def test_a_stream_that_comes_back_is_started_again_once_it_is_gone_and_one_at_it
     assert host.started == ["camera", "film", "camera"]
     assert first.stops == second.stops == [True]
     assert recorder.history["film"][-1] == "done"
+
+
+def test_a_stream_follows_other_settings_at_once_or_when_it_starts() -> None:
+    running, waiting, interruption = FakeStream(10**9), FakeStream(8), Interruption()
+    started: dict[str, StreamSpec] = {}
+
+    class Host(FakeHost):
+        def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+            started[spec.name] = spec
+            return super().start(spec, before)
+
+    other = [(replace(spec(name), source="other"), f"zones of {name}") for name in ("a", "b")]
+    left = [SpecChange(configured=tuple(other)), SpecChange(removed=("a",))]
+
+    def changes() -> SpecChange | None:
+        if not left and waiting.stops:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and running.read >= 8 else None
+
+    driver = Driver(
+        [spec("a"), spec("b")],
+        Host({"a": running, "b": waiting}),
+        admission=by_count(1),
+        observers=[],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert running.settings == ["zones of a"]
+    assert (started["b"].source, waiting.settings) == ("other", [])
 
 
 def test_a_stream_that_leaves_with_nothing_to_keep_or_without_an_answer_is_partial() -> None:

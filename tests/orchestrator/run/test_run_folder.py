@@ -118,7 +118,7 @@ def test_the_status_file_says_how_each_stream_stands(tmp_path: Path) -> None:
     written = json.loads((tmp_path / "status.json").read_text())
     assert (written["ended"], written["running"], written["waiting"]) == (False, 1, 1)
     assert written["events"] == [
-        {"target": "mqtt://broker/***", "waiting": 3, "away_since": "2025-06-15T15:06:40+00:00"}
+        {"target": "mqtt://broker/***", "waiting": 3, "away_since": "2025-06-15T15:06:40+00:00", "refused": 0}
     ]
     status.finish(STATES, 1)
     written = json.loads((tmp_path / "status.json").read_text())

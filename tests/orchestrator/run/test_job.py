@@ -1,0 +1,60 @@
+"""The streams of a run whose file of zones is edited meanwhile."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mlbs_actors.config import Config
+from orchestrator.command_line import parse
+from orchestrator.events.zones import EventRules
+from orchestrator.run import file_watch
+from orchestrator.run.job import Job
+from orchestrator.run.run_folder import RunFolder, read_description
+from orchestrator.run.stream_list import read_stream_list
+from orchestrator.run.zones_history import newest_zones
+
+ZONES = """streams:
+  a: {zones: [{name: yard, polygon: [[0, 0], [1, 0], [1, 1]]}]}
+  b: {zones: [{name: lawn, polygon: [[0, 0], [1, 0], [1, 1]]}]}
+"""
+
+
+def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(file_watch, "_LOOK_SECONDS", 0.0)
+    file, listed, output = tmp_path / "zones.yaml", tmp_path / "list.txt", tmp_path / "out"
+    file.write_text(ZONES)
+    listed.write_text("a synthetic:demo\nb synthetic:demo\n")
+    words = ["--streams", str(listed), "--zones", str(file), "--output", str(output), "--watch"]
+    said: list[str] = []
+    job = Job(read_stream_list(listed), parse(words), Config(), RunFolder(output), None, said.append, {})
+    output.mkdir()
+    assert [job.changes() for _ in range(3)] == [None] * 3
+
+    def edited(text: str) -> object:
+        draft = tmp_path / "draft"
+        draft.write_text(text)
+        draft.replace(file)
+        assert job.changes() is None, "a file that may be half-written was taken"
+        return job.changes()
+
+    change = edited(ZONES.replace("yard", "drive"))
+    assert change is not None
+    [(spec, rules)] = change.configured  # type: ignore[attr-defined]
+    assert isinstance(rules, EventRules)
+    assert (spec.name, rules.zones[0].name) == ("a", "drive")
+    assert spec.open_sink.keywords["rules"] == rules
+    assert said == ["Other zones, from now on: a."]
+    newest, description = newest_zones(output), read_description(output)
+    assert newest is not None
+    assert newest.read_text() == file.read_text()
+    assert description is not None
+    assert description["zones"] == parse(words).zones.digest
+    # A fault is told, and changes nothing until it is mended.
+    assert edited(ZONES.replace("[1, 1]", "[1, one]")) is None
+    assert said[-1].endswith("The zones of before hold on.")
+    assert "line 2" in said[-1]
+    assert edited(ZONES) is not None
