@@ -10,7 +10,6 @@ last of a commit. Events are numbered, because the oldest lines can be deleted.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -63,7 +62,6 @@ class _Mark:
 
 
 _MARK = TypeAdapter(_Mark)
-_RULES = TypeAdapter(EventRules)
 _MARKS_READ = TypeAdapter(list[_Mark])
 
 
@@ -94,7 +92,7 @@ class EventFile:
         self._committed = _EventLines(stream, rules, _MARK.validate_json(self._kept))
         self._later: deque[_Step] = deque()
         self._unwritten: list[str] = []
-        if mark.rules not in (None, _digest(rules)):
+        if mark.rules not in (None, rules.digest):
             self.configure(rules)
 
     @property
@@ -229,7 +227,7 @@ class _EventLines:
         return self._lines(self._happenings.end(), None)
 
     def mark(self, rows: int) -> bytes:
-        mark = _Mark(rows, self._events, self._began, self._happenings.state, _digest(self._rules))
+        mark = _Mark(rows, self._events, self._began, self._happenings.state, self._rules.digest)
         return _MARK.dump_json(mark)
 
     def _lines(self, events: list[Event], row: FrameRow | None) -> list[str]:
@@ -265,17 +263,14 @@ class _EventLines:
         }
 
 
-def _digest(rules: EventRules) -> str:
-    return hashlib.sha256(_RULES.dump_json(rules)).hexdigest()[:16]
-
-
 def event_id(stream: str, event: Event) -> str:
     """Return what no other event of the stream has, and the same event always.
 
     Of a camera, frames that were not committed before a kill are gone, and others get their numbers, but not
     their times.
     """
-    parts = (stream, event.frame, f"{event.pts:.3f}", event.kind, event.layer, event.zone)
+    settings = event.reason if event.kind == "configured" else None
+    parts = (stream, event.frame, f"{event.pts:.3f}", event.kind, event.layer, event.zone, settings)
     return "/".join(str(part) for part in parts if part is not None)
 
 

@@ -67,7 +67,8 @@ class Event:
     direction : {"left", "right"}, optional
         Of ``crossed``; see :func:`orchestrator.events.zones.crossing`.
     reason : str, optional
-        Of ``hidden`` and ``ended``, and of ``left`` if the zone is gone.
+        Of ``hidden`` and ``ended``, and of ``left`` if the zone is gone; of ``configured`` the digest of the
+        rules, so that two changes between two pictures are two events.
     replaced_by : int, optional
         The object in its place.
     """
@@ -241,13 +242,13 @@ class Happenings:
         return [Event("stream lost", state.rows, state.newest)]
 
     def configured(self, rules: EventRules) -> list[Event]:
-        """Follow other rules from now on; return that, and who has left zones that are gone.
+        """Follow other rules from now on; return this, and who has left zones that are gone.
 
         Who is in a zone stays in it until it is moved away from where they are.
         """
         self._rules = rules
         there = {zone.name: zone.kind for zone in rules.zones}
-        said = [Event("configured", self.state.rows, self.state.newest)]
+        said = [Event("configured", self.state.rows, self.state.newest, reason=rules.digest)]
         for number, one in sorted(self.state.objects.items()):
             for name, presence in list(one.zones.items()):
                 if there.get(name) != "zone":

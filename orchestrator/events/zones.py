@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.rows.scene_place import Point
@@ -95,9 +95,17 @@ class EventRules:
     remembered: int = 30
 
     @property
+    def digest(self) -> str:
+        """Sixteen hexadecimal digits that tell them from others."""
+        return hashlib.sha256(_RULES.dump_json(self)).hexdigest()[:16]
+
+    @property
     def of_scene(self) -> bool:
         """Whether a zone is fixed to the scene."""
         return any(zone.fixed_to == "scene" for zone in self.zones)
+
+
+_RULES = TypeAdapter(EventRules)
 
 
 class _OfStream(_Strict):
