@@ -44,6 +44,8 @@ def run_command(argv: Sequence[str]) -> int:
         unknown = sorted(arguments.zones.streams - {stream.name for stream in streams})
         if unknown and not arguments.watch:
             raise ConfigError(f"--zones names the stream {unknown[0]!r}, which is not one of this run.")
+        if unknown:
+            log.warn(f"--zones names {', '.join(unknown)}, not streams of this run at present.")
         if arguments.segment is not None and not arguments.watch and not any(map(_is_camera, streams)):
             raise ConfigError(
                 "--segment and --keep are for cameras, of which this run has none; leave them out. "

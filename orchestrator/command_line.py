@@ -205,12 +205,15 @@ def parse(argv: Sequence[str]) -> Arguments:
 
 def _zones(path: Path | None, resumed: Path | None) -> ZonesFile:
     """Read the zones; of a resumed run those of before, if the file cannot be used, so that it goes on."""
+    before = None if resumed is None else newest_zones(resumed)
     if path is None:
-        return ZonesFile()
+        if before is None:
+            return ZonesFile()
+        words = f"The zones of before hold on ({before}); for others, give --zones."
+        return replace(read_zones(before), fault=words)
     try:
         return read_zones(path)
     except ConfigError as error:
-        before = None if resumed is None else newest_zones(resumed)
         if before is None:
             raise
         words = f"{str(error).rstrip('.')}. The zones of before hold on ({before})."

@@ -84,10 +84,12 @@ def ray_head(scratch: Path, options: Mapping[str, Any]) -> Iterator[RayHead]:
     ):
         head = RayHead(process)
         try:
-            yield head
+            try:
+                yield head
+            finally:
+                if head.has_started:
+                    head.begin_to_end()
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(_END_SECONDS)
         finally:
-            if head.has_started:
-                head.begin_to_end()
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(_END_SECONDS)
             process.kill()  # while it starts Ray, for example; the kernel then kills what it has started

@@ -160,7 +160,11 @@ def _warm(warm: Callable[[], None]) -> None:
     The first one leaves its machine code on disk; all others would compile the same. If the lock fails, only
     time is lost. Low-priority processes have a lock of their own, so that others never wait for them.
     """
-    done = machine_code_folder() / f"{warm.__name__}.done"
+    import llvmlite.binding
+    import numba
+
+    versions = f"{numba.__version__}-{llvmlite.binding.get_host_cpu_name()}"
+    done = machine_code_folder() / f"{warm.__name__}-{versions}.done"
     if done.exists():
         warm()
         return

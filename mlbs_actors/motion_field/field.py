@@ -188,7 +188,7 @@ def motion_field(
     prior[:] = np.broadcast_to(prior_mean, (*grid, 2)).transpose(2, 0, 1)
     points = positions - np.array(corner, positions.dtype)
     mean, variance, point_weights = _inferred(points, motions, shape, prior, parameters)
-    if not np.isfinite(mean).all():
+    if not (np.isfinite(mean).all() and np.isfinite(variance).all()):
         raise SolverError(
             "A motion field could not be solved; bring the standard deviations of its terms closer together."
         )

@@ -15,7 +15,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import partial
@@ -156,6 +156,7 @@ class Delivery:
         self._positions: dict[str, _Position] = {}
         self._away_since: float | None = None
         self._refused = 0
+        self._has_accepted = False
         self._looked: dict[Path, tuple[int, int]] = {}
         # Of each file the inode, and where its first line is that may be waiting.
         self._starts: dict[Path, tuple[int, int]] = {}
@@ -166,7 +167,8 @@ class Delivery:
     def start(self) -> None:
         """Go on where an earlier run was; the run's folder is locked."""
         self._positions = _read_positions(self._path)
-        self._refused = sum(1 for one in _refused_events(self._folder) if one["target"] == self._name)
+        self._has_accepted = any(one.number or one.ids for one in self._positions.values())
+        self._refused = sum(one.get("target") == self._name for one in _refused_events(self._folder))
         self._thread.start()
 
     def backlog(self) -> Backlog:
@@ -258,11 +260,8 @@ class Delivery:
         failures = 0
         while not self._stop.is_set():
             try:
-                sender.send(event)
-            except RefusedEventError as error:
-                self._set_aside(event, str(error))
-                return True
-            except DeliveryError as error:
+                self._send_or_set_aside(event, sender)
+            except (DeliveryError, OSError) as error:
                 failures += 1
                 if failures == 1:
                     self._away_since = time.time()
@@ -270,15 +269,22 @@ class Delivery:
                     self._say(f"Events cannot be delivered to {self._name}: {reason}. It is tried again.")
                 self._stop.wait(retry_seconds(failures))
             else:
-                self._away_since = None
+                self._away_since, self._has_accepted = None, True
                 if failures:
                     self._say(f"Events are delivered to {self._name} again.")
                 return True
         return False
 
+    def _send_or_set_aside(self, event: bytes, sender: Sender) -> None:
+        try:
+            sender.send(event)
+        except RefusedEventError as error:
+            if not (error.is_certain or self._has_accepted):
+                raise
+            self._set_aside(event, str(error))
+
     def _set_aside(self, event: bytes, answer: str) -> None:
         """Keep an event that will never be accepted where the operator finds it; say so the first time."""
-        self._away_since = None
         line = {"target": self._name, "answer": answer, "event": json.loads(event)}
         with (self._folder / _REFUSED).open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
@@ -313,7 +319,11 @@ def _refused_events(folder: Path) -> list[dict[str, Any]]:
         lines = (folder / _REFUSED).read_text(encoding="utf-8").splitlines(keepends=True)
     except FileNotFoundError:
         return []
-    return [json.loads(line) for line in lines if line.endswith("\n")]
+    events = []
+    for line in lines:
+        with suppress(ValueError):  # a torn one
+            events.append(json.loads(line))
+    return [one for one in events if isinstance(one, dict)]
 
 
 def _names(targets: Sequence[EventTarget]) -> list[str]:

@@ -3,9 +3,9 @@
 A line is appended as soon as it is certain, so that it can be sent at once, and counts with the commit of the
 row that made it certain. ``.events`` holds what the events continue from after the last two commits, and how
 many there were then: a record that is opened again cuts the file off behind those, and goes on, by other
-rules if they have changed. That is
-worked out from the rows when they are committed, for nobody knows before which of a camera's rows will be the
-last of a commit. Events are numbered, because the oldest lines can be deleted.
+rules if they have changed. That is worked out from the rows when they are committed, for nobody knows before
+which of a camera's rows will be the last of a commit. Events are numbered, because the oldest lines can be
+deleted.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class _Mark:
         When a camera's stream began, seconds since 1970.
     state : EventState
     rules : str, optional
-        Digest of the rules by which they were made; an earlier version's have none.
+        What tells the rules by which they were made from others; an earlier version's have none.
     """
 
     rows: int
@@ -92,7 +92,7 @@ class EventFile:
         self._committed = _EventLines(stream, rules, _MARK.validate_json(self._kept))
         self._later: deque[_Step] = deque()
         self._unwritten: list[str] = []
-        if mark.rules not in (None, rules.digest):
+        if found and mark.rows and mark.rules != rules.digest:
             self.configure(rules)
 
     @property

@@ -244,19 +244,23 @@ class Happenings:
     def configured(self, rules: EventRules) -> list[Event]:
         """Follow other rules from now on; return this, and who has left zones that are gone.
 
-        Who is in a zone stays in it until it is moved away from where they are.
+        Who is in a zone stays in it until they are certainly out of it, where it is now; and what was not
+        certain yet by the rules of before is none.
         """
         self._rules = rules
         there = {zone.name: zone.kind for zone in rules.zones}
-        said = [Event("configured", self.state.rows, self.state.newest, reason=rules.digest)]
+        last = max(self.state.rows - 1, 0), self.state.newest
+        said = [Event("configured", *last, reason=rules.digest)]
         for number, one in sorted(self.state.objects.items()):
             for name, presence in list(one.zones.items()):
                 if there.get(name) != "zone":
                     del one.zones[name]
                     if presence.inside and one.counts:
-                        place = self.state.rows, self.state.newest, number, one.seen.region
-                        said.append(Event("left", *place, zone=name, reason="the zone is gone"))
-            one.lines = {name: line for name, line in one.lines.items() if there.get(name) == "line"}
+                        gone = Event("left", *last, number, one.seen.region, name, reason="the zone is gone")
+                        said.append(gone)
+            for presence in one.zones.values():
+                presence.contrary = 0
+            one.lines.clear()
         return said
 
     def end(self) -> list[Event]:

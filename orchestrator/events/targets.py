@@ -23,9 +23,10 @@ __all__ = ["DeliveryError", "EventTarget", "RefusedEventError", "Sender", "open_
 #: Longest time until a target has answered, s.
 _ANSWER_SECONDS = 10.0
 
-#: Answers of a webhook by which it will never take an event, whenever it comes: bad, conflicting, too large,
-#: of the wrong kind, not to be processed. By others 4xx the address or the password is wrong, for all events.
-_REFUSALS = frozenset({400, 409, 413, 415, 422})
+#: Answers of a webhook by which it will never take an event, whenever it comes: conflicting, too large, of
+#: the wrong kind, not to be processed; and bad, which can mean the address, too. By others 4xx the address or
+#: the password is wrong, for all events.
+_REFUSALS, _BAD = frozenset({409, 413, 415, 422}), 400
 
 #: Ports of MQTT brokers where none is given.
 _MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883}
@@ -36,7 +37,11 @@ class DeliveryError(MlbsError):
 
 
 class RefusedEventError(DeliveryError):
-    """A target will not take this event, but may take others."""
+    """A target will not take this event, but may take others: surely if ``is_certain``."""
+
+    def __init__(self, words: str, *, is_certain: bool) -> None:
+        super().__init__(words)
+        self.is_certain = is_certain
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +148,10 @@ class _Webhook:
                 answer.read(1 << 16)
         except urllib.error.HTTPError as error:
             error.close()
-            kind = RefusedEventError if error.code in _REFUSALS else DeliveryError
-            raise kind(f"it answers {error.code} {error.reason}") from None
+            words = f"it answers {error.code} {error.reason}"
+            if error.code in _REFUSALS or error.code == _BAD:
+                raise RefusedEventError(words, is_certain=error.code != _BAD) from None
+            raise DeliveryError(words) from None
         except (OSError, HTTPException) as error:
             raise DeliveryError(str(getattr(error, "reason", error)) or type(error).__name__) from None
 

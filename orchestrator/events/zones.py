@@ -137,7 +137,7 @@ class ZonesFile:
     content
         For :meth:`rules_of`.
     fault : str, optional
-        Why the file cannot be used, a sentence; then the rest is of an earlier version.
+        Why the rest is of an earlier version, a sentence.
     """
 
     path: Path | None = None
@@ -188,6 +188,8 @@ def read_zones(path: Path) -> ZonesFile:
     except ValidationError as invalid:
         faults = "\n".join(f"  {_fault(tree, fault['loc'], fault['msg'])}" for fault in invalid.errors())
         raise ConfigError(f"--zones: {path} cannot be used:\n{faults}") from None
+    except (ValueError, TypeError, RecursionError) as error:  # such as a date that there is not, or a loop
+        raise ConfigError(f"--zones: {path} cannot be understood: {error}.") from None
     return ZonesFile(path.absolute(), text, content)
 
 
@@ -196,11 +198,13 @@ def _refuse_twice(path: Path, node: yaml.Node) -> None:
     if isinstance(node, yaml.MappingNode):
         names = set()
         for key, value in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise ConfigError(f"--zones: {path}, line {key.start_mark.line + 1}: this is no name.")
             if key.value in names:
                 raise ConfigError(
                     f"--zones: {path}, line {key.start_mark.line + 1}: {key.value!r} stands there twice."
                 )
-            names.add(key.value if isinstance(key, yaml.ScalarNode) else None)
+            names.add(key.value)
             _refuse_twice(path, value)
     elif isinstance(node, yaml.SequenceNode):
         for item in node.value:

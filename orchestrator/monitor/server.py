@@ -38,10 +38,11 @@ _FILES = {
     "/monitor.js": ("monitor.js", "text/javascript; charset=utf-8"),
     "/monitor.css": ("monitor.css", "text/css; charset=utf-8"),
 }
+_UNDER_WAY = ("running", "stalled", "reconnecting", "done")
 #: What probes ask for, and whether it is so: the command answers; a stream is under way.
 _HEALTH: dict[str, Callable[[Board], bool]] = {
     "/healthz": lambda _: True,
-    "/readyz": lambda board: any(state.state not in ("waiting", "starting") for state in board.states),
+    "/readyz": lambda board: any(state.state in _UNDER_WAY for state in board.states),
 }
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -117,8 +118,8 @@ class _Handler(BaseHTTPRequestHandler):
         if self.server.token:
             given = parse_qs(url.query).get("token", [""])[0]
             is_known = bool(given) and self._is_token(given)
-            # A player of pictures keeps no cookie.
-            if is_known and not url.path.endswith(_MOTION_JPEG):
+            # A player of pictures, which has another address, keeps no cookie.
+            if is_known and url.path == "/":
                 # A cookie keeps the token from now on, so that it is not in the browser's history.
                 headers = {"Location": "./", "Set-Cookie": f"{_COOKIE}={given}; HttpOnly; SameSite=Strict"}
                 self._answer(HTTPStatus.SEE_OTHER, b"", "text/plain", headers)

@@ -18,7 +18,7 @@ from orchestrator.events.zones import EventRules, read_zones
 from orchestrator.run.driver import SpecChange
 from orchestrator.run.file_watch import FileWatch
 from orchestrator.run.list_watch import ListWatch
-from orchestrator.run.run_folder import RunFolder, RunSettings, describe_run
+from orchestrator.run.run_folder import CHANGING, RunFolder, RunSettings, describe_run
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.zones_history import keep_zones
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
@@ -70,6 +70,7 @@ class Job:
         self._live = live
         self._say = say
         self._sources = dict(recorded or {})
+        self._gone: set[str] = set()  # which the list does not name any more
         self._unlisted = {stream.name for stream in streams if stream.line is None}
         self.description = self._described()
         self._watch = None
@@ -79,6 +80,7 @@ class Job:
                 arguments.streams, listed, self._recorded_source, lambda text: say(mask(text))
             )
         zones = arguments.zones.path
+        self._zones_are_faulty = arguments.zones.fault is not None
         self._zones_watch = FileWatch(zones) if arguments.watch and zones is not None else None
 
     @property
@@ -97,12 +99,15 @@ class Job:
     def changes(self) -> SpecChange | None:
         """Return changes to the list, and to the file of zones."""
         change = None if self._watch is None else self._watch.look()
+        before = self._arguments.zones
         configured = self._with_other_zones()
-        if change is None and not configured:
+        if change is None and self._arguments.zones == before:
             return None
         added, removed = ((), ()) if change is None else (change.added, change.removed)
         self._streams |= {stream.name: stream for stream in added}
-        self.description = self._described() | {"started": self.description["started"]}
+        self._gone = (self._gone | set(removed)) - {stream.name for stream in added}
+        described = self._described()
+        self.description |= {key: described[key] for key in CHANGING}
         try:
             self._folder.redescribe(self.description)
         except OSError as error:
@@ -121,11 +126,18 @@ class Job:
             zones = read_zones(path)
         except ConfigError as error:
             self._say(f"{str(error).rstrip('.')}. The zones of before hold on.")
+            self._zones_are_faulty = True
             return []
         self._arguments = replace(self._arguments, zones=zones)
-        changed = [name for name, rules in before.items() if rules != self.rules(name)]
+        here = self._streams.keys() - self._gone
+        if unknown := sorted(zones.streams - here):
+            self._say(f"--zones names {', '.join(unknown)}, not streams of this run at present.")
+        changed = [name for name in before if name in here and before[name] != self.rules(name)]
         if changed:
             self._say(f"Other zones, from now on: {', '.join(changed)}.")
+        elif self._zones_are_faulty:
+            self._say("The file of zones can be read again; it says the same as before.")
+        self._zones_are_faulty = False
         try:
             keep_zones(self._folder.path, zones.text or "")
         except OSError as error:

@@ -52,7 +52,7 @@ from orchestrator.run.job import Job
 from orchestrator.run.node_check import node_places
 from orchestrator.run.resumption import changed_sources, ended_before, gone_from_list, words_on_resuming
 from orchestrator.run.retention import Retention
-from orchestrator.run.run_folder import RunFolder, StatusFile
+from orchestrator.run.run_folder import CHANGING, RunFolder, StatusFile
 from orchestrator.run.stream_list import ListedStream, refuse_if_all
 from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
 from orchestrator.run.versions import installed_versions
@@ -65,7 +65,7 @@ from orchestrator.sources.survey import SourceContent, surveying
 
 __all__ = ["run", "what_to_look_at"]
 
-#: How long files are looked into before Ray starts, s; faults of the rest are found when their turn comes.
+#: How long files are looked into before streams start, s; faults of the rest are found when their turn comes.
 _SURVEY_SECONDS = 5.0
 
 #: What a user who limits the streams is told that they wait for.
@@ -102,7 +102,7 @@ def run(
     Raises
     ------
     ConfigError
-        If the output folder or the cluster cannot be used, or no source can be read; nothing was started.
+        If the output folder or the cluster cannot be used, or no source can be read; no stream was started.
     MlbsError
         If Ray cannot be started, or the run's own files cannot be written.
     """
@@ -134,14 +134,14 @@ def run(
         if begun is not None:
             folder.refuse_other(begun, job.description)
             hold.enter_context(folder.locked())
-            changed = {key: job.description[key] for key in ("sources", "hashes", "keep", "zones", "command")}
-            if changed != {key: begun.get(key) for key in changed}:
-                try:
-                    folder.redescribe(begun | changed)
-                except OSError as error:
-                    raise ConfigError(f"Cannot write to {folder.path}: {error.strerror}.") from None
             earlier = ended_before(folder, job.specs)
             log.say(words_on_resuming(begun, job.description, len(earlier)))
+            job.description = begun | {key: job.description[key] for key in CHANGING}
+            if job.description != begun:
+                try:
+                    folder.redescribe(job.description)
+                except OSError as error:
+                    raise ConfigError(f"Cannot write to {folder.path}: {error.strerror}.") from None
             ended |= earlier
         else:
             folder.refuse_if_used([stream.name for stream in streams])

@@ -27,7 +27,7 @@ from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.run.versions import installed_versions
 from orchestrator.sinks.record import recorded_frames
 
-__all__ = ["RunFolder", "RunSettings", "StatusFile", "describe_run", "read_description"]
+__all__ = ["CHANGING", "RunFolder", "RunSettings", "StatusFile", "describe_run", "read_description"]
 
 #: Keys of ``run.json`` that must not change when a run is resumed.
 _SAME = {
@@ -39,6 +39,9 @@ _SAME = {
     "ignored": "files to --ignore",
     "segment": "--segment",
 }
+
+#: Keys that may change when it is, or meanwhile.
+CHANGING = ("sources", "hashes", "keep", "zones", "command")
 
 #: Most differences of parameters that the message about a resumed run lists.
 _MOST_CHANGES = 3

@@ -179,6 +179,12 @@ def test_a_region_without_pixels_has_an_empty_field() -> None:
     assert list(field.point_weights) == [0.0, 0.0]
 
 
+def test_terms_too_far_apart_for_double_precision_are_refused() -> None:
+    parameters = MotionParameters(smoothness_std_px=1e-9, prior_std_px=1e9)
+    with pytest.raises(SolverError, match="closer together"):
+        motion_field(np.zeros((0, 2)), np.zeros((0, 2)), (80, 80), np.zeros(2), parameters)
+
+
 def test_evidence_that_is_not_finite_is_refused() -> None:
     with pytest.raises(SolverError, match="finite"):
         motion_field(np.array([[1.0, np.nan]]), np.zeros((1, 2)), (8, 8), np.zeros(2), MotionParameters())

@@ -20,7 +20,7 @@ from mlbs_actors.actors.ipc.channels import ChannelAddress
 from mlbs_actors.actors.node.failures import last_line
 from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory, node_memory, unique_memory
-from mlbs_actors.actors.node.processes import LOST_PROCESS, here, identity, kill, spawn
+from mlbs_actors.actors.node.processes import LOST_PROCESS, cores_of, here, identity, kill, spawn
 from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.stream.layer_actor import LayerActor
 from mlbs_actors.config import Config
@@ -42,7 +42,8 @@ class PoolPolicy:
     idle_seconds : float
         Those beyond are ended once they were idle for this long, s.
     start_seconds : float
-        A process that takes longer to start is taken to hang, and replaced, s.
+        A process that takes longer to start is taken to hang, and replaced, s: where all cores are busy, one
+        of low priority takes minutes, and the first ones compile.
     release_seconds : float
         Timeout for a layer's process to leave a stream that has ended, after which it is ended too, s.
     short_seconds : float
@@ -55,7 +56,7 @@ class PoolPolicy:
 
     spare: int = 4
     idle_seconds: float = 10.0
-    start_seconds: float = 180.0
+    start_seconds: float = 900.0
     release_seconds: float = 3.0
     short_seconds: float = 2.0
     streams: int = 1
@@ -86,13 +87,13 @@ class _Process:
 
     @property
     def is_ready(self) -> bool:
-        """Whether it has started, or never will."""
-        return self.ready.done()
+        """Whether it has started."""
+        return self.ready.done() and self.ready.exception() is None
 
     @property
     def memory(self) -> int:
         """Unique memory, bytes; 0 as long as it is starting."""
-        return unique_memory(self.ready.result()) if self.is_ready and not self.ready.exception() else 0
+        return unique_memory(self.ready.result()) if self.is_ready else 0
 
 
 class PoolActor:
@@ -109,7 +110,10 @@ class PoolActor:
         self._idle: list[_Process] = []
         self._busy: dict[int, dict[str, _Process]] = {}  # by stream and process
         self._grown: set[int] = set()  # streams that have all they need but layer processes
-        self._news = asyncio.Event()  # an idle process is ready, or a stream has ended
+        self._starts: set[asyncio.Future[None]] = set()  # which asyncio itself would forget
+        self._failed: dict[_Process | None, BaseException] = {}
+        self._most_starting = max(2, cores_of(self._node) // 2)
+        self._news = asyncio.Event()  # an idle process is ready, or gone, or a stream has ended
 
     async def begin(self, run: int) -> int:
         """Register a new stream; return its number, which must be unused."""
@@ -147,8 +151,12 @@ class PoolActor:
         while run in self._busy:
             process = self._take_ready()
             if process is None:
-                started = self._start_unless(started)
-                if started is None and time.monotonic() - asked > self._policy.short_seconds:
+                if started in self._failed:
+                    error = self._failed.pop(started)
+                    raise ActorLostError(f"No process could be started for a layer: {last_line(error)}.")
+                if started not in self._idle and self._starting < self._most_starting:
+                    started = self._start() if self._fits_another() else None
+                if not self._starting and time.monotonic() - asked > self._policy.short_seconds:
                     return None
                 self._news.clear()
                 with suppress(asyncio.TimeoutError):
@@ -156,16 +164,9 @@ class PoolActor:
                 continue
             self._busy[run][identity(process.handle)] = process
             try:
-                await process.ready
                 address = await process.handle.assign.remote(run, config)
-            except LOST_PROCESS as error:
+            except LOST_PROCESS:  # it may have died unnoticed: try the next
                 self._busy.get(run, {}).pop(identity(process.handle), None)
-                # An idle one may have died unnoticed: try the next. If one that was just started died,
-                # the next would die again.
-                if process.since >= asked and run in self._busy:
-                    raise ActorLostError(
-                        f"No process could be started for a layer: {last_line(error)}."
-                    ) from error
             else:
                 if run in self._busy:  # else it has been released with the others
                     return process.handle, address
@@ -227,29 +228,35 @@ class PoolActor:
 
     def _fits_another(self) -> bool:
         """Whether another process fits into memory even when these and all streams have grown."""
-        in_use = self._in_use()
-        at_work = [process.memory for process in in_use if process.is_ready]
-        grown = max([LAYER_BYTES, *at_work])
-        to_come = grown * (1 + len(self._idle) + len(in_use) - len(at_work))
+        grown = max([LAYER_BYTES, *(process.memory for process in self._in_use())])
+        to_come = grown * (1 + len(self._idle))
         to_come -= sum(process.memory for process in self._idle)
         to_come += STREAM_BYTES * max(self._policy.streams - len(self._grown), 0)
         return self._policy.memory().free >= to_come
 
-    def _start_unless(self, started: _Process | None) -> _Process | None:
-        """Start a process, unless that one is still starting; None if none fits into memory."""
-        if started in self._idle:
-            if time.monotonic() - started.since < self._policy.start_seconds:
-                return started
-            self._idle.remove(started)
-            kill(started.handle)
-        if not self._fits_another():
-            return None
+    @property
+    def _starting(self) -> int:
+        return sum(not process.is_ready for process in self._idle)
+
+    def _start(self) -> _Process:
         handle = spawn(LayerActor, self._parts, node=self._node)
         ready = asyncio.ensure_future(_answered(handle.process_id.remote()))
-        ready.add_done_callback(lambda _: self._news.set())
         process = _Process(handle, ready, time.monotonic())
         self._idle.append(process)
+        self._starts.add(watched := asyncio.ensure_future(self._started(process)))
+        watched.add_done_callback(self._starts.discard)
         return process
+
+    async def _started(self, process: _Process) -> None:
+        """Wait until a process has started; drop it if it does not, or if none wants it any more."""
+        await asyncio.wait({process.ready}, timeout=self._policy.start_seconds)
+        if not process.is_ready and process in self._idle:
+            if process.ready.done() and (error := process.ready.exception()):
+                self._failed[process] = error
+            self._idle.remove(process)
+            kill(process.handle)
+        self._news.set()
+        asyncio.get_running_loop().call_later(self._policy.idle_seconds, self._shrink)
 
     def _shrink(self) -> None:
         ready = (process for process in self._idle if process.is_ready)

@@ -62,7 +62,7 @@ def measure_births(
     """Play each scene once, in this process and through Ray.
 
     Through Ray a frame's time is that between its label map and the one before, as they are made, and the
-    pool has spare processes, as after some seconds of any run. In this process, as in those of Ray,
+    pool has the idle processes of a run before. In this process, as in those of Ray,
     the kernels have been loaded before: loading them is not a cost of a birth.
     """
     warm_coordinator()

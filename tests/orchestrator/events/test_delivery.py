@@ -118,6 +118,39 @@ def test_an_event_that_a_webhook_refuses_is_set_aside_and_the_others_arrive(
         assert again.backlogs()[0].refused == len(aside)  # they count after a restart, too
 
 
+def test_an_event_that_is_bad_waits_until_others_have_been_accepted(tmp_path: Path) -> None:
+    class Bad:
+        """Accepts nothing, then some."""
+
+        asked, accepts = 0, False
+
+        def send(self, event: bytes) -> None:
+            self.asked += 1
+            if not self.accepts or json.loads(event)["object"] == 5:
+                raise RefusedEventError("it answers 400 Bad Request", is_certain=False)
+
+        def close(self) -> None:
+            return
+
+    sender, said = Bad(), list[str]()
+    delivery = delivery_module.Delivery("hook", "key", lambda: sender, tmp_path, said.append)
+    gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
+    delivery.start()
+    write(gate, 0, 20)
+    gate.close(whole=True)
+    wait_until(lambda: sender.asked > 2)
+    assert delivery.backlog().refused == 0
+    (tmp_path / "events-refused.jsonl").write_text('{"target": "ho')  # torn by a full disk
+    sender.accepts = True
+    delivery.close()
+    assert delivery.backlog().waiting == 0
+    assert delivery.backlog().refused > 0
+    again = delivery_module.Delivery("hook", "key", lambda: sender, tmp_path, said.append)
+    again.start()
+    again.close()
+    assert again.backlog().waiting == 0
+
+
 def test_a_webhook_on_this_machine_is_not_asked_for_at_the_proxy(
     webhook: Webhook, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -189,7 +222,13 @@ def test_a_password_is_sent_and_shown_nowhere(
 
 @pytest.mark.parametrize(
     ("status", "kind"),
-    [(302, DeliveryError), (401, DeliveryError), (404, DeliveryError), (400, RefusedEventError)],
+    [
+        (302, DeliveryError),
+        (401, DeliveryError),
+        (404, DeliveryError),
+        (400, RefusedEventError),
+        (422, RefusedEventError),
+    ],
 )
 def test_a_webhook_that_does_not_accept_has_not_taken_the_event(
     webhook: Webhook, status: int, kind: type[DeliveryError]
@@ -210,6 +249,7 @@ def test_a_webhook_that_does_not_accept_has_not_taken_the_event(
             sender.send(b'{"id": "1"}')
         server.shutdown()
     assert type(refused.value) is kind
+    assert getattr(refused.value, "is_certain", None) == {400: False, 422: True}.get(status)
     assert not webhook.ids
 
 

@@ -191,9 +191,9 @@ def test_a_record_that_is_opened_with_other_zones_follows_them_and_says_so(tmp_p
     again = record(tmp_path, replayable=False, rules=other)
     write(again, 14, 26)
     said = lines(tmp_path)[len(before) :]
-    assert (said[0]["kind"], said[0]["frame"]) == ("configured", 14)
-    gone = "the zone is gone" if name == "right" else None
-    assert in_zones(said) == [("left", 14, "middle", gone), ("entered", 20, name, None)]
+    assert (said[0]["kind"], said[0]["frame"], said[0]["time"]) == ("configured", 13, 1.3)
+    left = ("left", 13, "middle", "the zone is gone") if name == "right" else ("left", 14, "middle", None)
+    assert in_zones(said) == [left, ("entered", 20, name, None)]
     # Killed before a commit, it says the same again; afterwards nothing more of it.
     ids = [event["id"] for event in lines(tmp_path)]
     again = record(tmp_path, replayable=False, rules=other)
@@ -213,7 +213,7 @@ def test_a_record_follows_other_zones_in_the_middle_and_goes_on_by_them_after_a_
     assert [event["kind"] for event in said].count("configured") == 1
     assert in_zones(said) == [
         ("entered", 6, "middle", None),
-        ("left", 14, "middle", "the zone is gone"),
+        ("left", 13, "middle", "the zone is gone"),
         ("entered", 20, "right", None),
     ]
     assert next(event for event in said if event["zone"] == "right")["picture"]

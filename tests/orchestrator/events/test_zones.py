@@ -84,6 +84,14 @@ def test_a_point_is_inside_by_the_even_odd_rule() -> None:
     assert not is_inside((10, 1), bay)
 
 
+@pytest.mark.parametrize(
+    "text", ["{{ yard }}: x", "streams: {a: {zones: [{name: 2024-99-99}]}}", "&a {x: *a}"]
+)
+def test_what_yaml_itself_stumbles_over_is_refused_too(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ConfigError, match="--zones"):
+        read_zones(written(tmp_path, text))
+
+
 def test_the_side_is_that_of_somebody_who_looks_along_the_line() -> None:
     upwards = [(5.0, 10.0), (5.0, 0.0)]
     assert crossing((2, 5), (8, 5), upwards) == "right"

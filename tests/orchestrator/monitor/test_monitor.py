@@ -261,7 +261,7 @@ def test_who_knows_the_token_gets_in_by_address_cookie_or_header_and_nobody_else
         assert get(url, "/status.json", Cookie="mlbs-monitor=wrong; \x7f")[0].status == 401
 
 
-@pytest.mark.parametrize("state", [None, "waiting", "starting", "running", "failed"])
+@pytest.mark.parametrize("state", [None, "waiting", "starting", "running", "stalled", "failed"])
 def test_probes_need_no_token_and_learn_whether_a_stream_is_under_way(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, state: StateName | None
 ) -> None:
@@ -271,7 +271,7 @@ def test_probes_need_no_token_and_learn_whether_a_stream_is_under_way(
     with serving(MonitorAddress("0.0.0.0", 0), board) as url:
         assert get(url, "/healthz", Host="pod.cluster")[0].status == 200
         ready = get(url, "/readyz", Host="pod.cluster")[0].status
-        assert ready == (200 if state in ("running", "failed") else 503)
+        assert ready == (200 if state in ("running", "stalled") else 503)
 
 
 def test_the_page_can_be_served_below_a_path(url: str) -> None:

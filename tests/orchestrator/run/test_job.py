@@ -57,4 +57,10 @@ def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed
     assert edited(ZONES.replace("[1, 1]", "[1, one]")) is None
     assert said[-1].endswith("The zones of before hold on.")
     assert "line 2" in said[-1]
-    assert edited(ZONES) is not None
+    assert edited(ZONES.replace("yard", "drive") + "# mended\n") is not None
+    assert "can be read again" in said[-1]
+    edited(ZONES.replace("a:", "aa:"))
+    assert said[-2:] == [
+        "--zones names aa, not streams of this run at present.",
+        "Other zones, from now on: a.",
+    ]

@@ -44,3 +44,5 @@ def test_a_resumed_run_goes_on_with_the_zones_of_before_where_the_file_cannot_be
     assert "The zones of before hold on" in zones.fault
     file.write_text(GOOD)
     assert parse([*words, "--resume"]).zones.fault is None
+    left_out = parse(["cam.mp4", "--output", str(output), "--resume"]).zones
+    assert (left_out.text, "hold on" in (left_out.fault or "")) == (GOOD, True)
