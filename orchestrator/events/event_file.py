@@ -22,7 +22,8 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from orchestrator.events.happenings import Event, EventKind, EventState, Happenings
+from orchestrator.events.event import Event, EventKind
+from orchestrator.events.happenings import EventState, Happenings
 from orchestrator.events.pictures import picture_name
 from orchestrator.events.zones import EventRules
 from orchestrator.rows.frame_row import FrameRow

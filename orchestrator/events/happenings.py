@@ -10,31 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 from mlbs_actors.messages import LayerSummary, Region
+from orchestrator.events.event import Event, EventKind
 from orchestrator.events.zones import EventRules, Zone, crossing, is_inside
 from orchestrator.rows.endings import SEEN, Ending, ending
 from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.rows.scene_place import Point
 from orchestrator.rows.sighting import Sighting
 
-__all__ = ["HOLD", "Event", "EventKind", "EventState", "Happenings"]
-
-EventKind = Literal[
-    "born",
-    "hidden",
-    "back",
-    "ended",
-    "entered",
-    "left",
-    "crossed",
-    "camera moving",
-    "camera still",
-    "stream lost",
-    "stream back",
-    "configured",
-]
+__all__ = ["HOLD", "EventState", "Happenings"]
 
 #: Label maps in a row that must agree before an object is hidden, in a zone, out of it, or beyond a line.
 HOLD = 3
@@ -45,43 +30,6 @@ _MOVING = 0.001
 
 #: Label maps in a row before a camera moves, and before it is still: somebody who walks with it sways.
 _HOLD_MOVING, _HOLD_STILL = 3, 10
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something that happened.
-
-    Attributes
-    ----------
-    kind : EventKind
-    frame : int
-        When it began, which is some frames before it was certain.
-    pts : float
-        s.
-    layer : int, optional
-        The object.
-    region : Region, optional
-        The object's box in that frame, or in the last one that showed it.
-    zone : str, optional
-        Of ``entered``, ``left`` and ``crossed``.
-    direction : {"left", "right"}, optional
-        Of ``crossed``; see :func:`orchestrator.events.zones.crossing`.
-    reason : str, optional
-        Of ``hidden`` and ``ended``, and of ``left`` if the zone is gone; of ``configured`` the digest of the
-        rules, so that two changes between two pictures are two events.
-    replaced_by : int, optional
-        The object in its place.
-    """
-
-    kind: EventKind
-    frame: int
-    pts: float
-    layer: int | None = None
-    region: Region | None = None
-    zone: str | None = None
-    direction: Literal["left", "right"] | None = None
-    reason: str | None = None
-    replaced_by: int | None = None
 
 
 @dataclass(slots=True)

@@ -9,7 +9,8 @@ from true_results import true_result
 
 from mlbs_actors.messages import Array
 from mlbs_actors.source import GapStatus
-from orchestrator.events.happenings import Event, Happenings
+from orchestrator.events.event import Event
+from orchestrator.events.happenings import Happenings
 from orchestrator.events.zones import EventRules, Minimum, Zone
 from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.rows.scene_place import ScenePlace

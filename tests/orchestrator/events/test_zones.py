@@ -10,7 +10,7 @@ import pytest
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.command import run_command
-from orchestrator.events.happenings import EventKind
+from orchestrator.events.event import EventKind
 from orchestrator.events.zones import crossing, is_inside, read_zones
 
 GOOD = """
