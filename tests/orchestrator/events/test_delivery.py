@@ -109,9 +109,10 @@ def test_an_event_that_a_webhook_refuses_is_set_aside_and_the_others_arrive(
     assert webhook.ids == [one for one in ids(tmp_path / "gate") if one not in aside]
     assert len(aside) > 2
     assert {line["event"]["object"] for line in lines} == {5}
-    assert {line["answer"] for line in lines} == {"it answers 422 Unprocessable Entity"}
+    assert all(line["answer"].startswith("it answers 422 ") for line in lines)
     assert len(said) == 1
-    assert "refuses an event: it answers 422 Unprocessable Entity. It is set aside" in said[0]
+    assert "refuses an event: it answers 422 Unprocessable" in said[0]
+    assert "It is set aside" in said[0]
     [backlog] = deliveries.backlogs()
     assert (backlog.waiting, backlog.away_since, backlog.refused) == (0, None, len(aside))
     with Deliveries([parse_target(webhook.url)], tmp_path, said.append) as again:
