@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
 from functools import partial
 from time import perf_counter
@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.config import Config, load_config
+from mlbs_actors.kernels.machine_code import compiled_mark
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
@@ -48,7 +49,7 @@ def main() -> int:
     started = perf_counter()
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=context) as pool:
-        pending = {pool.submit(warm_coordinator), pool.submit(warm_segmenter)}
+        pending = {pool.submit(_compile, warm_coordinator), pool.submit(_compile, warm_segmenter, warm_layer)}
         while pending:
             done, pending = wait(pending, _PROGRESS_SECONDS, return_when=FIRST_EXCEPTION)
             for one in done:
@@ -56,6 +57,12 @@ def main() -> int:
             if pending:
                 print(f"  compiling for {perf_counter() - started:.0f} s", file=sys.stderr, flush=True)
     return 0
+
+
+def _compile(*parts: Callable[[], None]) -> None:
+    for warm in parts:
+        warm()
+        compiled_mark(warm.__name__).touch()
 
 
 def warm_coordinator() -> None:

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from filelock import FileLock, Timeout
 
 from mlbs_actors.config import Config
-from mlbs_actors.kernels.machine_code import machine_code_folder
+from mlbs_actors.kernels.machine_code import compiled_mark
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
@@ -160,11 +160,7 @@ def _warm(warm: Callable[[], None]) -> None:
     The first one leaves its machine code on disk; all others would compile the same. If the lock fails, only
     time is lost. Low-priority processes have a lock of their own, so that others never wait for them.
     """
-    import llvmlite.binding
-    import numba
-
-    versions = f"{numba.__version__}-{llvmlite.binding.get_host_cpu_name()}"
-    done = machine_code_folder() / f"{warm.__name__}-{versions}.done"
+    done = compiled_mark(warm.__name__)
     if done.exists():
         warm()
         return

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
 
-__all__ = ["has_machine_code", "machine_code_folder", "package_digest"]
+__all__ = ["compiled_mark", "has_machine_code", "machine_code_folder", "package_digest"]
 
 _PACKAGE = Path(__file__).parents[1]
 _FOLDERS = "kernels-*"
@@ -27,6 +27,15 @@ _KEPT = 3
 def has_machine_code() -> bool:
     """Whether kernels of this version of the package were compiled on this machine before."""
     return any(path.is_file() for path in machine_code_folder().rglob("*"))
+
+
+def compiled_mark(part: str) -> Path:
+    """Return the file that is there once a part's kernels were compiled by these versions for this CPU."""
+    import llvmlite.binding
+    import numba
+
+    versions = f"{numba.__version__}-{llvmlite.binding.get_host_cpu_name()}"
+    return machine_code_folder() / f"{part}-{versions}.done"
 
 
 @functools.cache

@@ -200,7 +200,6 @@ class _EventLines:
 
     def __init__(self, stream: str, rules: EventRules, mark: _Mark) -> None:
         self._stream = stream
-        self._rules = rules
         self._happenings = Happenings(rules, mark.state)
         self.pictured: set[int] = set()  # objects in the newest row that its lines name pictures of
         self._events, self._began = mark.events, mark.began
@@ -216,7 +215,6 @@ class _EventLines:
         if step.began is not None:
             self._began = step.began
         if step.rules is not None:
-            self._rules = step.rules
             events = self._happenings.configured(step.rules)
         elif step.row is None:
             events = self._happenings.silent()
@@ -228,12 +226,12 @@ class _EventLines:
         return self._lines(self._happenings.end(), None)
 
     def mark(self, rows: int) -> bytes:
-        mark = _Mark(rows, self._events, self._began, self._happenings.state, self._rules.digest)
-        return _MARK.dump_json(mark)
+        state, rules = self._happenings.state, self._happenings.rules
+        return _MARK.dump_json(_Mark(rows, self._events, self._began, state, rules.digest))
 
     def _lines(self, events: list[Event], row: FrameRow | None) -> list[str]:
         here = set()
-        if row is not None and row.result is not None and self._rules.zones:
+        if row is not None and row.result is not None and self._happenings.rules.zones:
             here = {layer.layer for layer in row.result.layers}
         pictured = {event.layer for event in events if event.kind in _PICTURED and event.layer in here}
         self.pictured = {layer for layer in pictured if layer is not None}

@@ -152,12 +152,13 @@ class Happenings:
 
     Attributes
     ----------
+    rules : EventRules
     state : EventState
     """
 
     def __init__(self, rules: EventRules, state: EventState | None = None) -> None:
         self.state = EventState() if state is None else state
-        self._rules = rules
+        self.rules = rules
 
     def after(self, row: FrameRow) -> list[Event]:
         """Return what is certain with the next row of the record, in a fixed order."""
@@ -195,7 +196,7 @@ class Happenings:
         Who is in a zone stays in it until they are certainly out of it, where it is now; and what was not
         certain yet by the rules of before is none.
         """
-        self._rules = rules
+        self.rules = rules
         there = {zone.name: zone.kind for zone in rules.zones}
         last = max(self.state.rows - 1, 0), self.state.newest
         said = [Event("configured", *last, reason=rules.digest)]
@@ -246,7 +247,7 @@ class Happenings:
                 approach.beyond = 0
         one.missing += 1
         scene_ends = row.status == "cut" or (before is not None and before.shape != result.shape)
-        if scene_ends or one.missing > self._rules.remembered:
+        if scene_ends or one.missing > self.rules.remembered:
             return self._ended(number)
         if one.missing == HOLD and one.counts and one.gone is not None:
             one.hidden = True
@@ -274,7 +275,7 @@ class Happenings:
         if one.hidden:
             said.append(Event("back", here.frame, here.pts, number, here.region))
         one.seen, one.missing, one.gone, one.ending, one.hidden = here, 0, None, SEEN, False
-        for zone in self._rules.zones:
+        for zone in self.rules.zones:
             follow = _crossed if zone.kind == "line" else _moved
             said += follow(zone, one, number, result)
         if one.counts:
@@ -286,7 +287,7 @@ class Happenings:
         return [born, *_inside_already(one, number)]
 
     def _reaches_minimum(self, one: Followed, layer: LayerSummary, row: FrameRow, result: ResultRow) -> bool:
-        least = self._rules.minimum
+        least = self.rules.minimum
         if layer.area < least.area or row.pts - one.born.pts < least.seconds:
             return False
         if least.speed == 0:
