@@ -11,8 +11,7 @@ from orchestrator.interruption import StopAtOnce
 from orchestrator.log import Log
 from orchestrator.ray_session import ray_settings, starting_ray
 from orchestrator.run.argument_streams import argument_streams
-from orchestrator.run.stream_list import ListedStream, missing_sources, read_stream_list
-from orchestrator.sources.address import SourceKind
+from orchestrator.run.stream_list import missing_sources, read_stream_list
 
 __all__ = ["run_command"]
 
@@ -46,7 +45,8 @@ def run_command(argv: Sequence[str]) -> int:
             raise ConfigError(f"--zones names the stream {unknown[0]!r}, which is not one of this run.")
         if unknown:
             log.warn(f"--zones names {', '.join(unknown)}, not streams of this run at present.")
-        if arguments.segment is not None and not arguments.watch and not any(map(_is_camera, streams)):
+        cameras = [stream for stream in streams if stream.source.live]
+        if arguments.segment is not None and not arguments.watch and not cameras:
             raise ConfigError(
                 "--segment and --keep are for cameras, of which this run has none; leave them out. "
                 "The record of a file is always kept whole."
@@ -73,7 +73,3 @@ def run_command(argv: Sequence[str]) -> int:
             "To continue, give the same command with --resume."
         )
         return 128 + stop.signal_number
-
-
-def _is_camera(stream: ListedStream) -> bool:
-    return stream.source.kind not in (SourceKind.PATH, SourceKind.SYNTHETIC)

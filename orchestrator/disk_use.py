@@ -16,10 +16,10 @@ import numpy as np
 from mlbs_actors.errors import ConfigError
 from orchestrator.events.pictures import PICTURES
 from orchestrator.events.scene import VIEWS
-from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.overlay import overlays
-from orchestrator.sinks.record_tables import read_table
-from orchestrator.sinks.snapshot_folder import SNAPSHOTS
+from orchestrator.storage.commit_log import read_commits
+from orchestrator.storage.record_tables import read_table
+from orchestrator.storage.snapshot_folder import SNAPSHOTS
 
 __all__ = ["KINDS", "StreamUse", "bytes_by_kind", "main", "stream_use"]
 

@@ -135,7 +135,7 @@ class Node:
         reader = before.living_reader if isinstance(before, StreamActors) else None
         if reader is None:
             reader = spawn(
-                ReaderActor if spec.replayable else LiveReaderActor,
+                LiveReaderActor if spec.live else ReaderActor,
                 spec.open_reader,
                 node=self._node,
                 reservation=reservation,
@@ -265,7 +265,7 @@ class StreamActors:
         wakeup: WakeupEvent | None,
     ) -> None:
         self._name = spec.name
-        self._live = not spec.replayable
+        self._live = spec.live
         self._coordinator = coordinator
         self._links = links
         self._roles = {identity(coordinator): COORDINATOR} | links.roles()

@@ -14,8 +14,8 @@ from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array, Segmentation
 from orchestrator.evaluation import sequences
 from orchestrator.evaluation.stored_flow import StoredFlow
-from orchestrator.sinks.record_tables import read_rows
-from orchestrator.sinks.segments import archived_masks
+from orchestrator.storage.record_tables import read_rows
+from orchestrator.storage.segments import archived_masks
 from orchestrator.working_size import labels_in_size, resized
 
 __all__ = ["EngineLabelling", "ResizingSubtractor", "Subtractor", "run_label_maps", "run_scores"]

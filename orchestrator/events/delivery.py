@@ -29,8 +29,8 @@ from mlbs_actors.wording import count_of
 from orchestrator.events.event_file import EVENTS, committed_events
 from orchestrator.events.recent import recent_events
 from orchestrator.events.targets import DeliveryError, EventTarget, RefusedEventError, Sender, open_sender
-from orchestrator.run.durable_files import replace_file
 from orchestrator.sources.live_buffer import retry_seconds
+from orchestrator.storage.durable_files import replace_file
 
 __all__ = ["Backlog", "Deliveries", "Delivery"]
 

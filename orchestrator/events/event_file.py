@@ -27,7 +27,7 @@ from orchestrator.events.happenings import EventState, Happenings
 from orchestrator.events.pictures import picture_name
 from orchestrator.events.zones import EventRules
 from orchestrator.rows.frame_row import FrameRow
-from orchestrator.run.durable_files import publish, replace_file, temporary_path
+from orchestrator.storage.durable_files import publish, replace_file, temporary_path
 
 __all__ = ["EVENTS", "EventFile", "committed_events", "event_id"]
 

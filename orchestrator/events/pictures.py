@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array, LayerSummary, Region
-from orchestrator.run.durable_files import remove_temporary, temporary_path
+from orchestrator.storage.durable_files import remove_temporary, temporary_path
 
 __all__ = ["PICTURES", "EventPictures", "picture_name"]
 

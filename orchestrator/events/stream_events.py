@@ -12,7 +12,7 @@ from orchestrator.events.scene import VIEWS, SceneTracker
 from orchestrator.events.zones import EventRules
 from orchestrator.rows.frame_row import FrameRow
 from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.run.durable_files import remove_temporary, temporary_path
+from orchestrator.storage.durable_files import remove_temporary, temporary_path
 
 __all__ = ["StreamEvents"]
 

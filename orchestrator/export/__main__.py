@@ -16,7 +16,7 @@ from orchestrator.export.mot import write_mot
 from orchestrator.export.mots import write_mots
 from orchestrator.export.overlay import write_overlays
 from orchestrator.export.palette_masks import write_davis, write_youtube_vos
-from orchestrator.run.durable_files import temporary_path
+from orchestrator.storage.durable_files import temporary_path
 
 __all__ = ["FORMATS", "main"]
 

@@ -14,7 +14,7 @@ from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array, LayerSummary
 from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.run.run_folder import read_description
-from orchestrator.sinks.record_tables import read_rows
+from orchestrator.storage.record_tables import read_rows
 
 __all__ = ["RecordedFrame", "description_of", "recorded_stream", "streams_of"]
 

@@ -18,7 +18,7 @@ from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.source import SourceFrame
 from mlbs_actors.subtractor import MultilayerSubtractor
 from orchestrator.export.recorded_stream import RecordedFrame
-from orchestrator.sources.address import SourceKind, parse_address
+from orchestrator.sources.address import parse_address
 from orchestrator.sources.opening import open_reader
 from orchestrator.working_size import enlarged, shrunk
 
@@ -47,7 +47,7 @@ def replayed(source: str) -> Iterator[SourceFrame]:
     """Read a source again; yield nothing for a camera, or a missing source."""
     try:
         address = parse_address(source, Path("/"))
-        if address.kind not in (SourceKind.PATH, SourceKind.SYNTHETIC):
+        if address.live:
             return
         with closing(open_reader(address)) as reader:
             while isinstance(frame := reader.read(), SourceFrame):

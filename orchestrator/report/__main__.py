@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.report.page import render_report
-from orchestrator.run.durable_files import replace_file
+from orchestrator.storage.durable_files import replace_file
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -11,9 +11,9 @@ import pyarrow as pa
 
 from mlbs_actors.messages import Array
 from orchestrator.rows.frame_row import FrameRow
-from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.object_list import ObjectList, SeenObject
-from orchestrator.sinks.record_tables import read_rows, read_table
+from orchestrator.storage.commit_log import read_commits
+from orchestrator.storage.record_tables import read_rows, read_table
 
 __all__ = ["LONG_SECONDS", "MOST_FRAMES", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
 

@@ -18,11 +18,11 @@ from orchestrator.events.recent import recent_events
 from orchestrator.report import charts
 from orchestrator.report.history import LONG_SECONDS, MOST_FRAMES, StreamHistory, frame_ranges, read_history
 from orchestrator.report.pictures import StripPicture, overlay_strip
-from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.object_files import OBJECTS_CSV
 from orchestrator.sinks.object_list import SeenObject
 from orchestrator.sinks.overlay import overlays, stream_remarks
-from orchestrator.sinks.segments import segment_time
+from orchestrator.storage.commit_log import read_commits
+from orchestrator.storage.segments import segment_time
 
 __all__ = ["render_report"]
 

@@ -4,5 +4,5 @@ Read in this order: ``run`` (from the arguments to the exit status), ``stream_li
 ``job`` (the streams in the driver's form), ``resumption`` (what an earlier run has left), ``driver`` (the
 loop), ``admission`` and ``load`` (which streams may start, and what they take), ``node_check`` and
 ``versions`` (which nodes of a cluster can be used), ``stream_state``, ``recovery`` (which streams restart),
-``run_folder`` and ``durable_files``, ``whole_overlays``.
+``run_folder``, ``whole_overlays``.
 """

@@ -323,10 +323,9 @@ class Driver:
 
 
 def _new_state(spec: StreamSpec, length: int | None = None, earlier_cores: float = 0.0) -> StreamState:
-    if spec.max_frames is not None and (length is not None or not spec.replayable):
+    if spec.max_frames is not None and (length is not None or spec.live):
         length = spec.max_frames if length is None else min(length, spec.max_frames)
-    live = not spec.replayable
-    return StreamState(spec.name, line=spec.line, length=length, live=live, earlier_cores=earlier_cores)
+    return StreamState(spec.name, line=spec.line, length=length, live=spec.live, earlier_cores=earlier_cores)
 
 
 def _sentence(error: Exception) -> str:

@@ -23,7 +23,7 @@ from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.zones_history import keep_zones
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.record import StreamRecord, ends_group
-from orchestrator.sources.address import SourceAddress, SourceKind
+from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.opening import open_reader
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
@@ -90,7 +90,7 @@ class Job:
 
     def files(self, specs: Sequence[StreamSpec]) -> dict[str, SourceAddress]:
         """Return the sources of those of ``specs`` that are no cameras, by name."""
-        return {spec.name: self._streams[spec.name].source for spec in specs if spec.replayable}
+        return {spec.name: self._streams[spec.name].source for spec in specs if not spec.live}
 
     def rules(self, name: str) -> EventRules:
         """Return what the events of a stream depend on."""
@@ -178,7 +178,6 @@ class Job:
         if self._live is not None:
             picture = LivePicture(live_picture_path(self._live, stream.name), zones=rules.zones)
         folder = self._folder.stream(stream.name)
-        replayable = stream.source.kind in (SourceKind.PATH, SourceKind.SYNTHETIC)
         return StreamSpec(
             name=stream.name,
             config=self._config,
@@ -189,16 +188,16 @@ class Job:
                 stream.name,
                 save,
                 picture,
-                replayable=replayable,
+                live=stream.source.live,
                 source=stream.source,
                 rules=rules,
-                segment_seconds=None if replayable else self._arguments.segment,
+                segment_seconds=self._arguments.segment if stream.source.live else None,
             ),
             max_frames=self._arguments.max_frames,
             wants_background=ends_group if "background" in save else None,
             source=str(stream.source),
             line=stream.line,
-            replayable=replayable,
+            live=stream.source.live,
             path=stream.source.path,
             ignored=self._arguments.ignored.mask_of(stream.name),
         )

@@ -50,7 +50,7 @@ def ended_before(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[str, St
         frames = recorded_frames(folder.stream(spec.name))
         if has_ended(state):
             ended[spec.name] = state
-        elif frames and not spec.replayable and not has_snapshot(folder.stream(spec.name)):
+        elif frames and spec.live and not has_snapshot(folder.stream(spec.name)):
             counted = with_record(after_failure(state, words), frames)
             ended[spec.name] = replace(counted, state="partial")
     return ended

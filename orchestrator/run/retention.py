@@ -20,9 +20,9 @@ from mlbs_actors.errors import SinkError
 from orchestrator.disk_use import bytes_by_kind
 from orchestrator.run.retention_limits import Keep
 from orchestrator.run.stream_state import StreamState
-from orchestrator.sinks.commit_log import Commit, forget_segment, permanent, read_commits
-from orchestrator.sinks.segments import segment_folders, segment_time
-from orchestrator.sinks.snapshot_folder import SNAPSHOTS
+from orchestrator.storage.commit_log import Commit, forget_segment, permanent, read_commits
+from orchestrator.storage.segments import segment_folders, segment_time
+from orchestrator.storage.snapshot_folder import SNAPSHOTS
 
 __all__ = ["Retention"]
 

@@ -46,7 +46,6 @@ from orchestrator.run.admission import (
 )
 from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer
-from orchestrator.run.durable_files import replace_file
 from orchestrator.run.expected_time import words_on_expected_time
 from orchestrator.run.job import Job
 from orchestrator.run.node_check import node_places
@@ -60,8 +59,9 @@ from orchestrator.run.whole_overlays import make_all_whole
 from orchestrator.run.zones_history import keep_zones
 from orchestrator.sinks.overlay import overlays, stream_remarks
 from orchestrator.sinks.record import recorded_frames
-from orchestrator.sinks.segments import segment_folders
 from orchestrator.sources.survey import SourceContent, surveying
+from orchestrator.storage.durable_files import replace_file
+from orchestrator.storage.segments import segment_folders
 
 __all__ = ["run", "what_to_look_at"]
 
@@ -244,10 +244,10 @@ def _announce(
         return
     room = f"{count_of(cores(), 'core')}, {memory.available / 2**30:.1f} GiB of memory"
     at_once = f"up to {arguments.places or places(memory, cores())} at a time"
-    if arguments.places is None and not all(spec.replayable for spec in due):
+    if arguments.places is None and any(spec.live for spec in due):
         at_once = f"files {at_once}, cameras as long as CPU time and memory last"
     log.say(f"Starting Ray; {count}, {at_once} ({room}).")
-    files = [contents.get(spec.name, SourceContent()) for spec in due if spec.replayable]
+    files = [contents.get(spec.name, SourceContent()) for spec in due if not spec.live]
     if words := words_on_expected_time(files, cores(), arguments.max_frames, arguments.max_side):
         log.say(words)
     if not has_machine_code():
@@ -323,7 +323,7 @@ def _most_at_once(
     """Return for how many streams this machine's memory is reserved."""
     due = [spec for spec in job.specs if spec.name not in ended]
     most = places(memory, cores())
-    if not all(spec.replayable for spec in due):
+    if any(spec.live for spec in due):
         most = places_by_memory(memory)
     most = arguments.places or most
     return most if arguments.watch else min(most, len(due))  # only a watched list can get more

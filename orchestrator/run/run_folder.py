@@ -21,11 +21,11 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
 from orchestrator.events.delivery import Backlog
-from orchestrator.run.durable_files import replace_file
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.run.versions import installed_versions
 from orchestrator.sinks.record import recorded_frames
+from orchestrator.storage.durable_files import replace_file
 
 __all__ = ["CHANGING", "RunFolder", "RunSettings", "StatusFile", "describe_run", "read_description"]
 

@@ -33,7 +33,7 @@ def make_all_whole(
     for spec in job.specs:
         stream = folder.stream(spec.name)
         wanted = is_in_parts(stream) or (spec.name in due and is_lost(stream))
-        if spec.replayable and spec.name in ended and wanted:
+        if not spec.live and spec.name in ended and wanted:
             try:
                 make_whole(stream, spec.source, say, job.rules(spec.name).zones)
             except KeyboardInterrupt:

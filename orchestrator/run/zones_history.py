@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orchestrator.run.durable_files import replace_file
+from orchestrator.storage.durable_files import replace_file
 
 __all__ = ["keep_zones", "newest_zones"]
 

@@ -1,1 +1,1 @@
-"""Where results go: label maps, tables, the commit log, the overlay video."""
+"""Where results go: label maps, lists, pictures, the overlay video; by :mod:`orchestrator.storage`."""

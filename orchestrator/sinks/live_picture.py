@@ -12,8 +12,8 @@ import cv2
 from mlbs_actors.messages import Array
 from orchestrator.events.zones import Zone
 from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.run.durable_files import temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
+from orchestrator.storage.durable_files import temporary_path
 
 __all__ = ["LivePicture", "live_picture_path", "watch"]
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from orchestrator.rows.frame_row import FrameRow
-from orchestrator.run.durable_files import publish, temporary_path
-from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.object_list import ListState, ObjectList
-from orchestrator.sinks.record_tables import read_rows
+from orchestrator.storage.commit_log import read_commits
+from orchestrator.storage.durable_files import publish, temporary_path
+from orchestrator.storage.record_tables import read_rows
 
 __all__ = ["OBJECTS_CSV", "OBJECTS_JSON", "ObjectFiles"]
 

@@ -17,12 +17,12 @@ from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array, Region
 from orchestrator.events.zones import Zone
 from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.run.durable_files import publish, temporary_path
 from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
-from orchestrator.sinks.segments import segment_folders
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import reason
 from orchestrator.sources.sound import SoundReader
+from orchestrator.storage.durable_files import publish, temporary_path
+from orchestrator.storage.segments import segment_folders
 
 __all__ = [
     "TICK",

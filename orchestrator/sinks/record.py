@@ -27,20 +27,20 @@ from mlbs_actors.source import GapStatus, SourceFrame
 from orchestrator.events.stream_events import StreamEvents
 from orchestrator.events.zones import EventRules
 from orchestrator.rows.frame_row import FrameRow, ResultRow
-from orchestrator.run.durable_files import publish, remove_temporary, temporary_path
 from orchestrator.sinks.background import background_plate
-from orchestrator.sinks.commit_log import CommitLog, first_frame, permanent, read_commits
 from orchestrator.sinks.cutouts import cutouts
 from orchestrator.sinks.label_image import encode_label_image, encode_picture
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
-from orchestrator.sinks.picture_folders import PictureFolders
-from orchestrator.sinks.record_tables import newest_part, part_path
-from orchestrator.sinks.segments import Segments
-from orchestrator.sinks.snapshot_folder import SNAPSHOTS, SnapshotFolder
-from orchestrator.sinks.tables import stages_of, write_frames, write_layers
 from orchestrator.sources.address import SourceAddress
+from orchestrator.storage.commit_log import CommitLog, first_frame, permanent, read_commits
+from orchestrator.storage.durable_files import publish, remove_temporary, temporary_path
+from orchestrator.storage.picture_folders import PictureFolders
+from orchestrator.storage.record_tables import newest_part, part_path
+from orchestrator.storage.segments import Segments
+from orchestrator.storage.snapshot_folder import SNAPSHOTS, SnapshotFolder
+from orchestrator.storage.tables import stages_of, write_frames, write_layers
 
 __all__ = ["FIRST_COMMIT", "GROUP_FRAMES", "StreamRecord", "ends_group", "has_snapshot", "recorded_frames"]
 
@@ -67,10 +67,10 @@ class StreamRecord:
         The stream's name.
     save : frozenset of str
         Any of ``"masks"``, ``"parquet"``, ``"overlay"``, ``"background"``, ``"cutouts"``.
-    live : LivePicture, optional
+    live_picture : LivePicture, optional
         Receives every frame, for the monitor.
-    replayable : bool
-        Whether uncommitted rows can be read again after the end of the run.
+    live : bool
+        Whether the source is a camera, whose uncommitted rows cannot be read again after the end of the run.
     source : SourceAddress, optional
         Of the stream, whose sound the overlay gets.
     rules : EventRules, optional
@@ -95,9 +95,9 @@ class StreamRecord:
         folder: Path,
         name: str,
         save: frozenset[str],
-        live: LivePicture | None = None,
+        live_picture: LivePicture | None = None,
         *,
-        replayable: bool = True,
+        live: bool = False,
         source: SourceAddress | None = None,
         rules: EventRules | None = None,
         segment_seconds: int | None = None,
@@ -109,8 +109,8 @@ class StreamRecord:
         self._folder = folder
         self._name = name
         self._save = save
+        self._live_picture = live_picture
         self._live = live
-        self._replayable = replayable
         self._rows: list[FrameRow] = []
         self._provisional = False
         self._begins_with = 0  # first frame of which the lists know
@@ -128,7 +128,7 @@ class StreamRecord:
         except OSError as error:
             raise self._unwritable(error) from None
         before = self._snapshots.newest
-        if not replayable and self._log.rows != (0 if before is None else before.rows):
+        if live and self._log.rows != (0 if before is None else before.rows):
             raise SinkError(
                 f"The stream in {folder} cannot continue: its last snapshot is missing or damaged, and a "
                 "camera cannot be read twice. What was committed is kept; begin anew in another folder."
@@ -173,8 +173,8 @@ class StreamRecord:
             self._overlay.add(
                 frame.image, segmentation.labels, frame.index, frame.pts, regions, frame.pixel_aspect, scene
             )
-        if self._live is not None and frame.image is not None:
-            self._live.show(frame.image, segmentation.labels, frame.index, scene)
+        if self._live_picture is not None and frame.image is not None:
+            self._live_picture.show(frame.image, segmentation.labels, frame.index, scene)
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
@@ -200,7 +200,7 @@ class StreamRecord:
         """Follow other rules of events, which are an :class:`EventRules`, from the next row on."""
         assert isinstance(settings, EventRules)
         self._rules = settings
-        for shown in (self._live, self._overlay):
+        for shown in (self._live_picture, self._overlay):
             if shown is not None:
                 shown.zones = settings.zones
         try:
@@ -215,11 +215,11 @@ class StreamRecord:
 
         Rows of a live source are committed with their snapshot, so for that they must be written, too.
         """
-        if not self._replayable and self._log.rows + len(self._rows) < snapshot.rows:
+        if self._live and self._log.rows + len(self._rows) < snapshot.rows:
             return False
         try:
             kept = self._snapshots.keep(snapshot)
-            if kept and not self._replayable:
+            if kept and self._live:
                 self._commit(snapshot.rows)
         except OSError as error:
             raise self._unwritable(error) from None
@@ -236,7 +236,7 @@ class StreamRecord:
     def close(self, *, whole: bool) -> int:
         """Commit the rest and finish the pictures; return the number of label maps committed."""
         try:
-            if self._replayable or self._provisional or whole:
+            if not self._live or self._provisional or whole:
                 self._commit()
             if whole or self._objects is not None or self._segments is not None:
                 with self._log.exclusive():
@@ -252,8 +252,8 @@ class StreamRecord:
             raise self._unwritable(error) from None
         if self._overlay is not None:
             self._overlay.close()
-        if self._live is not None:
-            self._live.close()
+        if self._live_picture is not None:
+            self._live_picture.close()
         if whole:
             self._snapshots.forget_all()
         return self._committed
@@ -265,7 +265,7 @@ class StreamRecord:
 
     def _put(self, frame: SourceFrame, part: str, name: str, content: bytes) -> None:
         """Write a picture that counts once its frame is committed."""
-        time = 0.0 if self._replayable else self._taken_at(frame.pts)
+        time = 0.0 if not self._live else self._taken_at(frame.pts)
         self._pictures.put(frame.index, part, name, content, time)
 
     def _clear_up(self) -> tuple[str, ...] | None:
@@ -279,7 +279,7 @@ class StreamRecord:
 
     def _add(self, row: FrameRow) -> None:
         self._rows.append(row)
-        if self._replayable and ends_group(row.frame):
+        if not self._live and ends_group(row.frame):
             self._commit()
 
     def _tell(self, row: FrameRow, image: Array | None = None, taken: float | None = None) -> None:

@@ -58,6 +58,11 @@ class SourceAddress:
         return mask(self.location)
 
     @property
+    def live(self) -> bool:
+        """Whether it is a camera, which gives no frame twice."""
+        return self.kind not in (SourceKind.PATH, SourceKind.SYNTHETIC)
+
+    @property
     def path(self) -> Path | None:
         """The file, device, or fixed folder of a glob that it reads; None for other kinds."""
         if self.kind not in (SourceKind.PATH, SourceKind.CAMERA):

@@ -43,7 +43,7 @@ class Camera:
             folder,
             folder.name,
             save,
-            replayable=False,
+            live=True,
             rules=rules,
             segment_seconds=seconds,
             clock=lambda: self.now,

@@ -84,7 +84,7 @@ class CoordinatorActor:
         self._slots, self._memory = SlotPool(), SharedMemory()
         self._source = (
             ReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
-            if spec.replayable
+            if not spec.live
             else LiveReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
         )
         self._layers = LiveLayers(links.pool, run, spec.config, spec.name)
@@ -167,7 +167,7 @@ class CoordinatorActor:
                 break
             if taken and taken % _COLLECT_FRAMES == 0:
                 self._collect()
-            if not self._spec.replayable:
+            if self._spec.live:
                 self._hand_over_while_idle()
             delivered = self._next_frame()
             if delivered is None:
@@ -234,7 +234,7 @@ class CoordinatorActor:
 
     def _save_where_it_stands(self) -> None:
         """Save the present state: frames of a live source cannot be read again."""
-        if self._snapshots.are_wanted and not self._spec.replayable:
+        if self._snapshots.are_wanted and self._spec.live:
             if not self._snapshots.are_current():
                 self._save()
             self._await_labelled()
@@ -261,7 +261,7 @@ class CoordinatorActor:
             yield
         except RayError as error:
             # Repeated aborts mean that a file is damaged; a live source cannot be read again.
-            damaged = self._spec.replayable and self._spec.last_try
+            damaged = not self._spec.live and self._spec.last_try
             if not damaged and (is_loss(error) or isinstance(error, GetTimeoutError)):
                 raise reader_lost(self._spec.name, self._account.read) from None
             raise source_failure(error, self._spec.source, self._account.read) from None

@@ -148,15 +148,15 @@ class StreamSpec:
         What ``open_reader`` opens, for messages: without credentials.
     line : int, optional
         Line number in the list of streams, from 1.
-    replayable : bool
-        Whether the source gives the same frames again when it is opened again; else it is live.
+    live : bool
+        Whether it is a camera; any other source gives the same frames again when it is opened again.
     last_try : bool
         Whether this is the last start: if the reader of a file dies, the stream ends with the frames before.
     snapshot_rows : int
         Least number of rows of the record between snapshots; of a live source label maps.
     snapshot_seconds : float
-        Least time between snapshots of a replayable source, s: quick streams would spend a tenth of their
-        time on snapshots. A live reader keeps its frames for a limited number of rows only.
+        Least time between snapshots of a file, s: quick streams would spend a tenth of their time on
+        snapshots. A live reader keeps its frames for a limited number of rows only.
     path : Path, optional
         The file or folder that ``open_reader`` reads; None if it can be read from every machine.
     ignored : (h, w) bool, optional
@@ -171,7 +171,7 @@ class StreamSpec:
     wants_background: Callable[[int], bool] | None = None
     source: str = "the source"
     line: int | None = None
-    replayable: bool = True
+    live: bool = False
     last_try: bool = False
     snapshot_rows: int = 32
     snapshot_seconds: float = 3.0
@@ -250,8 +250,7 @@ class RunningStream(Protocol):
         (SourceError), the record could not be written (SinkError), or a process was lost (ActorLostError);
         started again, it resumes from its record. Damage of the source after its first frame ends the stream
         instead: what was read is committed and the last progress is ``done`` with its ``problem``. So does,
-        at the last try, the death of a replayable source's reader; before the first frame that is a
-        SourceError.
+        at the last try, the death of the reader; before the first frame that is a SourceError.
         """
 
     def configure(self, settings: object) -> None:

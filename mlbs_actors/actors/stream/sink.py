@@ -142,7 +142,7 @@ class Record:
         self._sink = sink
         self._run = run
         self._opened: Reference = sink.open.remote(run, spec.open_sink)
-        self._batch_rows = _FILE_ROWS if spec.replayable else _CAMERA_ROWS
+        self._batch_rows = _CAMERA_ROWS if spec.live else _FILE_ROWS
         # In the order of the record: expected rows, rows to send, and batches under way to the sink.
         self._expected: deque[GapRow | Shared[SourceFrame]] = deque()
         self._batch: list[LabelRow | GapRow] = []

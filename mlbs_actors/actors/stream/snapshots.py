@@ -113,7 +113,7 @@ class StreamSnapshots:
         """
         assert self._folder is not None
         self._await_next()
-        if self._spec.replayable:
+        if not self._spec.live:
             self._earliest = time.monotonic() + self._spec.snapshot_seconds
         folder = self._folder / f"{self._account.position.rows:08d}"
         self._labelling.save(folder)
@@ -136,4 +136,4 @@ class StreamSnapshots:
     @property
     def _progressed(self) -> int:
         """The count that snapshots depend on: most rows of a live source can be drops, which cost no work."""
-        return self._record.rows if self._spec.replayable else self._record.label_maps
+        return self._record.label_maps if self._spec.live else self._record.rows

@@ -30,9 +30,9 @@ from orchestrator.interruption import Interruption
 from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver
 from orchestrator.run.stream_state import StreamState
-from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.record import StreamRecord, has_snapshot, recorded_frames
-from orchestrator.sinks.snapshot_folder import SnapshotFolder
+from orchestrator.storage.commit_log import read_commits
+from orchestrator.storage.snapshot_folder import SnapshotFolder
 
 SAVE = frozenset({"masks", "parquet"})
 
@@ -173,7 +173,7 @@ def give(record: StreamRecord, first: int, last: int) -> int:
 
 
 def live_record(folder: Path) -> StreamRecord:
-    return StreamRecord(folder, "door", SAVE, replayable=False)
+    return StreamRecord(folder, "door", SAVE, live=True)
 
 
 def test_of_a_live_stream_counts_what_a_snapshot_covers(tmp_path: Path) -> None:
@@ -305,8 +305,8 @@ def delivered(folder: Path) -> list[Array]:
 def live_spec(camera: OnceOnly, folder: Path) -> StreamSpec:
     (folder / "delivered").mkdir(exist_ok=True)
     camera.folder.mkdir(exist_ok=True)
-    sink = partial(NotingRecord, folder / "door", "door", SAVE, replayable=False)
-    return StreamSpec("door", CONFIG, camera.opened, sink, snapshot_rows=8, replayable=False)
+    sink = partial(NotingRecord, folder / "door", "door", SAVE, live=True)
+    return StreamSpec("door", CONFIG, camera.opened, sink, snapshot_rows=8, live=True)
 
 
 def shots(frames: int, dies: str = "", at: int = -1) -> list[Array]:

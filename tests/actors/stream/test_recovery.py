@@ -37,16 +37,15 @@ from mlbs_actors.source import SourceFrame
 from mlbs_actors.state_file import capture
 from orchestrator.interruption import Interruption
 from orchestrator.run import driver as driver_module
-from orchestrator.run import durable_files
 from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver
 from orchestrator.run.recovery import MOST_RETURNS, Returns
 from orchestrator.run.resumption import ended_before
 from orchestrator.run.run_folder import RunFolder, StatusFile
 from orchestrator.run.stream_state import StreamState
-from orchestrator.sinks import commit_log
-from orchestrator.sinks.commit_log import Commit, CommitLog, read_commits
 from orchestrator.sinks.record import GROUP_FRAMES, StreamRecord, ends_group, recorded_frames
+from orchestrator.storage import commit_log, durable_files
+from orchestrator.storage.commit_log import Commit, CommitLog, read_commits
 
 SAVE = frozenset({"masks", "parquet"})
 
@@ -225,7 +224,7 @@ def test_streams_that_ended_and_cameras_without_a_snapshot_are_left_as_they_are(
             partial(StreamRecord, tmp_path, name, SAVE),  # type: ignore[arg-type]
             partial(StreamRecord, tmp_path, name, SAVE),
             line=line,
-            replayable=name not in ("camera", "full", "saved", "new"),
+            live=name in ("camera", "full", "saved", "new"),
         )
         for line, name in enumerate(names, 1)
     ]

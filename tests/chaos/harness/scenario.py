@@ -15,7 +15,7 @@ from chaos.harness.observed_run import ExpectationError, ObservedRun, content, e
 from chaos.harness.reference import References
 from orchestrator.sinks.object_files import OBJECTS_CSV
 from orchestrator.sinks.object_list import ObjectList
-from orchestrator.sinks.record_tables import read_rows
+from orchestrator.storage.record_tables import read_rows
 
 __all__ = [
     "BYSTANDER",

@@ -70,7 +70,7 @@ def _disk_fails(failure: Injection) -> Inject:
 
 def _publishing_fails(context: ScenarioContext, number: int) -> Injection:
     return Injection(
-        "orchestrator.run.durable_files:publish",
+        "orchestrator.storage.durable_files:publish",
         "fail",
         int(context.random.integers(3)),
         value=number,

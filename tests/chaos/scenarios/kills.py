@@ -33,6 +33,7 @@ __all__ = ["COMMIT_STEPS", "KILLS", "STEPS", "Step"]
 
 _ACTORS = "mlbs_actors.actors"
 _SINKS = "orchestrator.sinks"
+_STORAGE = "orchestrator.storage"
 
 #: When a step comes: repeatedly; when a stream is started, also after a loss; at its end or seldom.
 Time: TypeAlias = Literal["going on", "start", "end"]
@@ -89,17 +90,17 @@ STEPS: tuple[Step, ...] = (
 
 #: Steps of a commit, and of opening a record, in their order.
 COMMIT_STEPS: tuple[Step, ...] = (
-    Step("driver and sink", "take the log", f"{_SINKS}.commit_log:CommitLog.__init__", "start"),
+    Step("driver and sink", "take the log", f"{_STORAGE}.commit_log:CommitLog.__init__", "start"),
     Step("driver and sink", "clear up", f"{_SINKS}.record:StreamRecord._clear_up", "start"),
     Step("driver and sink", "write tables", f"{_SINKS}.record:StreamRecord._write_tables", "going on"),
-    Step("driver and sink", "sync a file", "orchestrator.run.durable_files:_sync", "going on", 32),
+    Step("driver and sink", "sync a file", "orchestrator.storage.durable_files:_sync", "going on", 32),
     Step("driver and sink", "rename a file", "pathlib:Path.replace", "going on", 32),
-    Step("driver and sink", "add the line", f"{_SINKS}.commit_log:CommitLog.add", "going on"),
-    Step("driver and sink", "keep a snapshot", f"{_SINKS}.snapshot_folder:SnapshotFolder.keep", "going on"),
+    Step("driver and sink", "add the line", f"{_STORAGE}.commit_log:CommitLog.add", "going on"),
+    Step("driver and sink", "keep a snapshot", f"{_STORAGE}.snapshot_folder:SnapshotFolder.keep", "going on"),
     Step(
         "driver and sink",
         "forget snapshots",
-        f"{_SINKS}.snapshot_folder:SnapshotFolder.forget_before",
+        f"{_STORAGE}.snapshot_folder:SnapshotFolder.forget_before",
         "going on",
     ),
 )

@@ -21,8 +21,8 @@ SAVE = frozenset({"parquet"})
 FRAMES = 100
 
 
-def record(folder: Path, *, replayable: bool = True, rules: EventRules = RULES) -> StreamRecord:
-    return StreamRecord(folder, "yard", SAVE, rules=rules, replayable=replayable)
+def record(folder: Path, *, live: bool = False, rules: EventRules = RULES) -> StreamRecord:
+    return StreamRecord(folder, "yard", SAVE, rules=rules, live=live)
 
 
 def write(one: StreamRecord, begin: int, end: int) -> None:
@@ -158,13 +158,13 @@ def test_a_record_that_was_closed_as_whole_may_be_closed_again(tmp_path: Path, w
 
 
 def test_events_of_a_camera_are_there_before_their_commit_and_go_without_it(tmp_path: Path) -> None:
-    one = record(tmp_path, replayable=False)
+    one = record(tmp_path, live=True)
     write(one, 0, 9)
     assert one.keep(snapshot(one, 9))
     write(one, 9, 20)
     before = lines(tmp_path)
     assert {event["frame"] for event in before} >= {0, 6, 16}
-    again = record(tmp_path, replayable=False)  # frames 9 to 19 are gone for ever
+    again = record(tmp_path, live=True)  # frames 9 to 19 are gone for ever
     # What was certain by frame 8: there object 5 is born, and object 3 has been in the zone for a moment.
     assert lines(tmp_path) == before[:4]
     assert [event["frame"] for event in before[:4]] == [0, 0, 6, 8]
@@ -183,12 +183,12 @@ RIGHT = ((24, 0), (34, 0), (34, 40), (24, 40))
 
 @pytest.mark.parametrize("name", ["middle", "right"])
 def test_a_record_that_is_opened_with_other_zones_follows_them_and_says_so(tmp_path: Path, name: str) -> None:
-    one = record(tmp_path, replayable=False)
+    one = record(tmp_path, live=True)
     write(one, 0, 14)  # object 3 has been in the zone since frame 6
     assert one.keep(snapshot(one, 14))
     before = lines(tmp_path)
     other = replace(RULES, zones=(Zone(name=name, polygon=RIGHT),))
-    again = record(tmp_path, replayable=False, rules=other)
+    again = record(tmp_path, live=True, rules=other)
     write(again, 14, 26)
     said = lines(tmp_path)[len(before) :]
     assert (said[0]["kind"], said[0]["frame"], said[0]["time"]) == ("configured", 13, 1.3)
@@ -196,16 +196,16 @@ def test_a_record_that_is_opened_with_other_zones_follows_them_and_says_so(tmp_p
     assert in_zones(said) == [left, ("entered", 20, name, None)]
     # Killed before a commit, it says the same again; afterwards nothing more of it.
     ids = [event["id"] for event in lines(tmp_path)]
-    again = record(tmp_path, replayable=False, rules=other)
+    again = record(tmp_path, live=True, rules=other)
     write(again, 14, 26)
     assert [event["id"] for event in lines(tmp_path)] == ids
     assert again.keep(snapshot(again, 26))
-    record(tmp_path, replayable=False, rules=other)
+    record(tmp_path, live=True, rules=other)
     assert [event["id"] for event in lines(tmp_path)] == ids
 
 
 def test_a_record_follows_other_zones_in_the_middle_and_goes_on_by_them_after_a_kill(tmp_path: Path) -> None:
-    one = record(tmp_path, replayable=False)
+    one = record(tmp_path, live=True)
     write(one, 0, 14)
     one.configure(replace(RULES, zones=(Zone(name="right", polygon=RIGHT),)))
     write(one, 14, 26)
@@ -218,7 +218,7 @@ def test_a_record_follows_other_zones_in_the_middle_and_goes_on_by_them_after_a_
     ]
     assert next(event for event in said if event["zone"] == "right")["picture"]
     assert one.keep(snapshot(one, 20))
-    record(tmp_path, replayable=False, rules=replace(RULES, zones=(Zone(name="right", polygon=RIGHT),)))
+    record(tmp_path, live=True, rules=replace(RULES, zones=(Zone(name="right", polygon=RIGHT),)))
     kept = lines(tmp_path)
     assert kept == said[: len(kept)]
     assert "configured" in {event["kind"] for event in kept}
@@ -226,7 +226,7 @@ def test_a_record_follows_other_zones_in_the_middle_and_goes_on_by_them_after_a_
 
 @pytest.mark.parametrize("kept_before", [True, False])
 def test_a_lost_camera_is_said_while_it_is_away_and_once(tmp_path: Path, kept_before: bool) -> None:
-    one = record(tmp_path, replayable=False)
+    one = record(tmp_path, live=True)
     write(one, 0, 9)
     if kept_before:
         assert one.keep(snapshot(one, 9))
@@ -239,14 +239,14 @@ def test_a_lost_camera_is_said_while_it_is_away_and_once(tmp_path: Path, kept_be
     one.write(segmentation(10, 3), frame(10))
     whole = lines(tmp_path)
     assert [event["kind"] for event in whole[-2:]] == ["stream lost", "stream back"]
-    again = record(tmp_path, replayable=False)  # killed after it was back
+    again = record(tmp_path, live=True)  # killed after it was back
     again.gap(9, 0.8, "gap")
     again.write(segmentation(10, 3), frame(10))
     assert [event["id"] for event in lines(tmp_path)] == [event["id"] for event in whole]
 
 
 def test_events_of_a_camera_have_the_time_of_day_at_which_it_took_their_frames(tmp_path: Path) -> None:
-    one = record(tmp_path, replayable=False)
+    one = record(tmp_path, live=True)
     for index in range(9):
         taken = replace(frame(index), taken=1_000_000_000.0 + index / 10)
         one.write(segmentation(index, 3), taken)

@@ -19,8 +19,8 @@ from orchestrator.events.scene import SceneTracker, resizing
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.sinks.record import StreamRecord
-from orchestrator.sinks.record_tables import read_rows
 from orchestrator.sources.synthetic import SyntheticScene, scene
+from orchestrator.storage.record_tables import read_rows
 from orchestrator.working_size import enlarged
 
 CORNERS = np.array([[120, 150], [190, 150], [190, 239], [120, 239]], np.float64)

@@ -8,8 +8,8 @@ from orchestrator.run.resumption import changed_sources, gone_from_list
 from orchestrator.run.run_folder import RunFolder, StatusFile
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState, has_ended
-from orchestrator.sinks.commit_log import CommitLog
 from orchestrator.sources.address import parse_address
+from orchestrator.storage.commit_log import CommitLog
 
 
 def listed(name: str, uri: str) -> ListedStream:

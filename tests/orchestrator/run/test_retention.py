@@ -25,11 +25,11 @@ from orchestrator.report.page import render_report
 from orchestrator.run.retention import Retention
 from orchestrator.run.retention_limits import Keep, parse_keep, parse_segment
 from orchestrator.run.stream_state import StreamState
-from orchestrator.sinks import commit_log
-from orchestrator.sinks.commit_log import first_frame, read_commits
 from orchestrator.sinks.overlay import overlays
 from orchestrator.sinks.record import has_snapshot, recorded_frames
-from orchestrator.sinks.segments import segment_folders
+from orchestrator.storage import commit_log
+from orchestrator.storage.commit_log import first_frame, read_commits
+from orchestrator.storage.segments import segment_folders
 
 TABLES = frozenset({"masks", "parquet"})
 LISTS = ("commits.jsonl", "events.jsonl", "objects.csv", "objects.json", ".objects")

@@ -15,14 +15,14 @@ import pytest
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator.events.delivery import Backlog
-from orchestrator.run import durable_files
-from orchestrator.run.durable_files import append_line, replace_file
 from orchestrator.run.run import what_to_look_at
 from orchestrator.run.run_folder import RunFolder, RunSettings, StatusFile, describe_run
 from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState
-from orchestrator.sinks.commit_log import CommitLog
 from orchestrator.sources.address import parse_address
+from orchestrator.storage import durable_files
+from orchestrator.storage.commit_log import CommitLog
+from orchestrator.storage.durable_files import append_line, replace_file
 
 
 def listed(name: str, uri: str) -> ListedStream:

@@ -22,7 +22,7 @@ from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.sinks.object_files import OBJECTS_CSV, OBJECTS_JSON, ObjectFiles
 from orchestrator.sinks.object_list import ListState, ObjectList
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
-from orchestrator.sinks.record_tables import read_rows
+from orchestrator.storage.record_tables import read_rows
 
 TABLES = frozenset({"parquet"})
 

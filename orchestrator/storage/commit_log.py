@@ -20,7 +20,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from mlbs_actors.errors import SinkError
-from orchestrator.run.durable_files import append_line, replace_file
+from orchestrator.storage.durable_files import append_line, replace_file
 
 __all__ = ["COMMIT_LOG", "Commit", "CommitLog", "first_frame", "forget_segment", "permanent", "read_commits"]
 

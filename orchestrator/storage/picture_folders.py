@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from orchestrator.run.durable_files import remove_temporary, temporary_path
+from orchestrator.storage.durable_files import remove_temporary, temporary_path
 
 __all__ = ["PictureFolders"]
 
@@ -13,7 +13,7 @@ _PARTS = ("masks", "background", "cutouts")
 
 
 class PictureFolders:
-    """The pictures of one stream, not in segments; see :class:`orchestrator.sinks.segments.Segments`.
+    """The pictures of one stream, not in segments; see :class:`orchestrator.storage.segments.Segments`.
 
     Parameters
     ----------

@@ -16,16 +16,16 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 
-from orchestrator.run.durable_files import publish, remove_temporary
-from orchestrator.sinks.commit_log import Commit, CommitLog, permanent, read_commits
-from orchestrator.sinks.picture_archive import (
+from orchestrator.storage.commit_log import Commit, CommitLog, permanent, read_commits
+from orchestrator.storage.durable_files import publish, remove_temporary
+from orchestrator.storage.picture_archive import (
     ArchivedPicture,
     append_pictures,
     archived_pictures,
     cut_archive,
     end_archive,
 )
-from orchestrator.sinks.record_tables import TABLES, merge_parts, part_path
+from orchestrator.storage.record_tables import TABLES, merge_parts, part_path
 
 __all__ = ["Segments", "archive_path", "archived_masks", "segment_folders", "segment_time"]
 

@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 from mlbs_actors.messages import LayerSummary, Region
 from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.run.durable_files import temporary_path
-from orchestrator.sinks.commit_log import Commit, read_commits
+from orchestrator.storage.commit_log import Commit, read_commits
+from orchestrator.storage.durable_files import temporary_path
 
 __all__ = ["TABLES", "merge_parts", "newest_part", "part_path", "read_rows", "read_table"]
 

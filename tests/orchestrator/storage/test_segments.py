@@ -22,13 +22,12 @@ from orchestrator.evaluation.labelling import run_label_maps
 from orchestrator.evaluation.sequences import FolderSequence
 from orchestrator.report.history import read_history
 from orchestrator.report.pictures import overlay_strip
-from orchestrator.run import durable_files
-from orchestrator.sinks import commit_log, picture_archive
-from orchestrator.sinks.commit_log import read_commits
 from orchestrator.sinks.overlay import overlays
 from orchestrator.sinks.record import StreamRecord, recorded_frames
-from orchestrator.sinks.record_tables import read_rows
-from orchestrator.sinks.segments import segment_folders
+from orchestrator.storage import commit_log, durable_files, picture_archive
+from orchestrator.storage.commit_log import read_commits
+from orchestrator.storage.record_tables import read_rows
+from orchestrator.storage.segments import segment_folders
 
 TABLES = frozenset({"masks", "parquet"})
 
@@ -112,7 +111,7 @@ def test_a_record_killed_at_any_step_goes_on_to_the_same_content(
         return int(append(path, length, pictures))
 
     append = dies(picture_archive.append_pictures)
-    monkeypatch.setattr("orchestrator.sinks.segments.append_pictures", torn)
+    monkeypatch.setattr("orchestrator.storage.segments.append_pictures", torn)
     monkeypatch.setattr(durable_files, "_sync", dies(durable_files._sync))
     monkeypatch.setattr(commit_log, "append_line", dies(durable_files.append_line))
     monkeypatch.setattr(Path, "replace", dies(Path.replace))
@@ -197,7 +196,7 @@ def test_a_full_disk_fails_the_stream_and_loses_nothing_that_was_committed(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr("orchestrator.sinks.segments.append_pictures", full)
+        patch.setattr("orchestrator.storage.segments.append_pictures", full)
         with pytest.raises(SinkError, match="No space left on device"):
             camera.send(250)
     camera.record.close(whole=False)
