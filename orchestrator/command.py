@@ -37,7 +37,7 @@ def run_command(argv: Sequence[str]) -> int:
             log.warn(arguments.zones.fault)
         streams = () if arguments.streams is None else read_stream_list(arguments.streams)
         streams += argument_streams(arguments.sources, [stream.name for stream in streams])
-        unknown = sorted(arguments.ignored.streams - {stream.name for stream in streams})
+        unknown = sorted(arguments.ignore.streams - {stream.name for stream in streams})
         if unknown and not arguments.watch:
             raise ConfigError(f"--ignore names the stream {unknown[0]!r}, which is not one of this run.")
         unknown = sorted(arguments.zones.streams - {stream.name for stream in streams})
@@ -51,7 +51,7 @@ def run_command(argv: Sequence[str]) -> int:
                 "--segment and --keep are for cameras, of which this run has none; leave them out. "
                 "The record of a file is always kept whole."
             )
-        config = load_config(arguments.config, arguments.overrides)
+        config = load_config(arguments.config, arguments.set)
         missing = missing_sources(arguments.streams, streams)
         with (
             ray_settings(arguments.address) as scratch,

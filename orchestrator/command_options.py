@@ -1,27 +1,15 @@
-"""The options of the command and its help, for which nothing has to be installed but Python."""
+"""The parser of the command and its help, made of :mod:`orchestrator.options`."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-from orchestrator.credentials import PASSWORD_VARIABLE
-from orchestrator.log import FORMATS
-from orchestrator.monitor.address import TOKEN_VARIABLE
+from orchestrator.options import Form, options
 from orchestrator.program import program_name, python_name
 
-__all__ = ["LEAST_SIDE", "SAVABLE", "SAVED", "command_parser"]
-
-#: The parts of a record that ``--save`` can name.
-SAVABLE = ("masks", "parquet", "overlay", "background", "cutouts")
-
-#: The default of ``--save``.
-SAVED = SAVABLE[:3]
-
-#: Least ``--max-side``, px: in smaller pictures there is hardly a trajectory.
-LEAST_SIDE = 64
+__all__ = ["command_parser", "flag_of"]
 
 _EXAMPLES = """\
 examples:
@@ -80,7 +68,7 @@ a second signal ends the run at once, with 130 or 143; it goes on with --resume,
 
 
 def command_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command."""
+    """Return the parser of the command; it leaves every value as it was given, or None."""
     parser = _Parser(
         prog=program_name(),
         usage="%(prog)s [SOURCE ...] [--streams LIST] [--output DIR] [flags]",
@@ -91,139 +79,26 @@ def command_parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("sources", nargs="*", metavar="SOURCE", help="a video or another source, see below")
-    parser.add_argument(
-        "--streams", type=Path, metavar="LIST", help="a list of streams, which come before those of SOURCE"
-    )
     parser.add_argument("--or-demo", action="store_true", help=argparse.SUPPRESS)  # of scripts/run
-    parser.add_argument(
-        "--output",
-        metavar="DIR",
-        help="folder for the results; one that holds a run is refused without --resume (default: out; "
-        "without a list, NAME-objects beside a single file or folder; and if that is there, out-2 and so on, "
-        "with --resume the last one)",
-    )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML file with parameters")
-    parser.add_argument(
-        "--set",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="parameters, after those of --config; for example layers.lookahead=4",
-    )
-    parser.add_argument(
-        "--address",
-        metavar="ADDR",
-        help="join the Ray cluster at HOST:PORT, or auto (default: one of this run's own, on this machine)",
-    )
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        help="continue the run in DIR that was killed or interrupted, or start one if there is none; all "
-        "other options must be the same; cameras continue after a row gap",
-    )
-    parser.add_argument(
-        "--save",
-        default=",".join(SAVED),
-        metavar="PARTS",
-        help=f"which of {', '.join(SAVABLE)} to write, with commas (default: the first three)",
-    )
-    parser.add_argument(
-        "--monitor",
-        nargs="?",
-        const="",
-        metavar="[HOST:]PORT",
-        help="serve a live page on this machine, and figures for Prometheus at /metrics there; at another "
-        "HOST viewers need the token in the "
-        f"environment variable {TOKEN_VARIABLE} (default PORT: any that is free)",
-    )
-    parser.add_argument(
-        "--ray-metrics",
-        nargs="?",
-        const="",
-        metavar="PORT",
-        help="export the figures of every stream through Ray to Prometheus, at PORT of this machine; with "
-        "--address, without PORT, with those of the cluster; needs pip install 'mlbs-actors[ray-metrics]'",
-    )
-    parser.add_argument(
-        "--max-frames", type=_positive, metavar="N", help="stop each stream after N label maps"
-    )
-    parser.add_argument(
-        "--max-side",
-        type=_side,
-        metavar="N",
-        help="process pictures shrunk to N px on the longer side; all results have full "
-        "size, with outlines as coarse as the smaller picture (default: process them as they are)",
-    )
-    parser.add_argument(
-        "--ignore",
-        action="append",
-        default=[],
-        metavar="[NAME=]FILE",
-        help="what is fixed in the picture of the stream NAME (default: of all), besides what is found by "
-        "itself: a picture in which it is not 0, or a text file with a polygon on each line, x1,y1,x2,y2,… "
-        "from 0 to 1 of the picture's width and height; may be given again for other streams",
-    )
-    parser.add_argument(
-        "--zones",
-        type=Path,
-        metavar="FILE",
-        help="YAML file with zones and lines of each stream, and the least size, age and speed of objects, "
-        "for the events in DIR/NAME/events.jsonl",
-    )
-    parser.add_argument(
-        "--events",
-        action="append",
-        default=[],
-        metavar="URL",
-        help="send events to mqtt://[USER[:PASSWORD]@]HOST[:PORT]/TOPIC (mqtts: by TLS), or as a POST to a "
-        "webhook at http:// or https://; for a USER without PASSWORD that of the environment variable "
-        f"{PASSWORD_VARIABLE} is taken; may be given again",
-    )
-    parser.add_argument(
-        "--segment",
-        metavar="TIME",
-        help="write the record of each camera in segments of an hour, a day, or so many seconds: a folder "
-        "DIR/NAME/TIME for each, with one archive of all masks (default: none; with --keep hour)",
-    )
-    parser.add_argument(
-        "--keep",
-        action="append",
-        default=[],
-        metavar="LIMIT",
-        help="of cameras delete the oldest closed segments, so that what is left is not older than an age, "
-        "such as 7d, or all together not larger than a size, such as 50GB; may be given twice, once for each",
-    )
-    parser.add_argument(
-        "--watch",
-        action="store_true",
-        help="read the list again whenever it changes: new names start, removed ones are finished, bad lines "
-        "are reported and ignored until they are corrected; the run continues until a signal; with --resume "
-        "the list may also change between two runs",
-    )
-    parser.add_argument(
-        "--give-up-after",
-        type=_positive,
-        metavar="SECONDS",
-        help="end the stream of a camera that sent no picture for this long, also at the start (default: try "
-        "it again for ever)",
-    )
-    parser.add_argument(
-        "--places",
-        type=_positive,
-        metavar="N",
-        help="run N streams at once, whatever they take (default: two files a core, and cameras as long as "
-        "CPU time and memory last for what they are measured to take)",
-    )
-    parser.add_argument(
-        "--log",
-        choices=FORMATS,
-        default="text",
-        help="how progress and messages are written: json for JSON lines (default: text, a live table on a "
-        "terminal, else a line of text per stream when something changes, and now and then)",
-    )
+    for name, option in options():
+        more: dict[str, Any] = {"metavar": option.metavar}
+        match option.form:
+            case Form.FLAG:
+                more = {"action": "store_true"}
+            case Form.REPEATED:
+                more |= {"action": "append", "default": []}
+            case Form.WORDS:
+                more |= {"action": "extend", "nargs": "+", "default": []}
+            case Form.OPTIONAL_VALUE:
+                more |= {"nargs": "?", "const": ""}
+        parser.add_argument(flag_of(name), help=option.meaning.replace("%", "%%"), **more)
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     return parser
+
+
+def flag_of(name: str) -> str:
+    """Return the flag of an option."""
+    return f"--{name.replace('_', '-')}"
 
 
 class _Version(argparse.Action):
@@ -241,18 +116,6 @@ class _Version(argparse.Action):
 
         print(f"mlbs-actors {__version__}")
         parser.exit()
-
-
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
-    return int(text)
-
-
-def _side(text: str) -> int:
-    if not text.isdecimal() or int(text) < LEAST_SIDE:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {LEAST_SIDE}")
-    return int(text)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -1,7 +1,8 @@
-"""The parameters as documents: ``configs/default.yaml`` and ``docs/configuration.md``.
+"""Parameters and options as documents: ``configs/default.yaml`` and two pages of the docs.
 
-Both are generated from the models of :mod:`mlbs_actors.config`, so a default, a meaning or a range is stated
-once. ``scripts/configuration`` writes them; a test fails while they differ from the models.
+They are generated from the models of :mod:`mlbs_actors.config` and from :mod:`orchestrator.options`, so a
+default, a meaning or a range is stated once. ``scripts/configuration`` writes them; a test fails while they
+differ.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from mlbs_actors.config import Config
+from orchestrator.command_options import flag_of
+from orchestrator.options import Form, Option, options
 
 __all__ = [
     "Parameter",
@@ -27,6 +30,7 @@ __all__ = [
     "configuration_texts",
     "describe",
     "main",
+    "options_as_markdown",
 ]
 
 _YAML_HEAD = """\
@@ -50,6 +54,22 @@ any subset; [`configs/default.yaml`](../configs/default.yaml) holds all. In Pyth
 
 This page and that file are written by `scripts/configuration` from
 [`mlbs_actors/config/`](../mlbs_actors/config). Do not edit them by hand.
+"""
+
+_OPTIONS_HEAD = """\
+# Options
+
+All flags of [the command](command_line.md). The last column says when another value takes effect in a run
+that has begun. *Within seconds* needs `--watch` and a value in the
+[file of cameras](command_line.md#a-file-of-cameras), or in a file that the flag names; else, as for a flag
+itself, it is the next start with `--resume`.
+
+This page is written by `scripts/configuration` from
+[`orchestrator/options.py`](../orchestrator/options.py). Do not edit it by hand.
+"""
+
+_OPTIONS_END = """\
+In the file of cameras these can be given for each camera, and for all below `defaults`: {keys}.
 """
 
 # A meaning ends with its unit where the name does not include it: "..., nats." or "..., px (not scaled ...)."
@@ -148,10 +168,38 @@ def as_markdown(sections: tuple[Section, ...]) -> str:
     return "\n".join(lines)
 
 
+def options_as_markdown() -> str:
+    """Write the page of the options of the command."""
+    lines = [_OPTIONS_HEAD, "| option | meaning | another value takes effect |", "|---|---|---|"]
+    for name, option in options():
+        more = f"; [more]({option.page})" if option.page else ""
+        cells = (_as_given(name, option), f"{option.meaning}{more}", option.effect.value)
+        lines.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
+    keys = ", ".join(f"`{name}`" for name, option in options() if option.of_streams)
+    return "\n".join([*lines, "", _OPTIONS_END.format(keys=keys)])
+
+
+def _as_given(name: str, option: Option) -> str:
+    flag = flag_of(name)
+    match option.form:
+        case Form.FLAG:
+            return f"`{flag}`"
+        case Form.OPTIONAL_VALUE:
+            return f"`{flag} [{option.metavar}]`"
+        case Form.WORDS | Form.REPEATED:
+            return f"`{flag} {option.metavar} ...`"
+        case Form.VALUE:
+            return f"`{flag} {option.metavar}`"
+
+
 def configuration_texts() -> dict[str, str]:
     """Return the content of the generated files by path in the repository."""
     sections = describe(Config)
-    return {"configs/default.yaml": as_yaml(sections), "docs/configuration.md": as_markdown(sections)}
+    return {
+        "configs/default.yaml": as_yaml(sections),
+        "docs/configuration.md": as_markdown(sections),
+        "docs/options.md": options_as_markdown(),
+    }
 
 
 def main() -> int:

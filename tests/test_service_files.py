@@ -14,8 +14,9 @@ from typing import Any
 import pytest
 import yaml
 
-from orchestrator.command_line import Arguments, parse
+from orchestrator.command_line import parse
 from orchestrator.monitor.address import TOKEN_VARIABLE
+from orchestrator.options import Arguments
 
 ROOT = Path(__file__).resolve().parents[1]
 UNIT = ROOT / "configs/mlbs-actors.service"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from orchestrator.command_options import LEAST_SIDE
+from orchestrator.option_values import LEAST_SIDE
 
 __all__ = ["DATA_VARIABLE", "evaluation_parser"]
 

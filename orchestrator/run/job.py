@@ -12,9 +12,10 @@ from mlbs_actors.actors.stream.protocol import StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.source import FrameReader
-from orchestrator.command_line import Arguments
+from orchestrator.command_line import command_again
 from orchestrator.credentials import mask
 from orchestrator.events.zones import EventRules, read_zones
+from orchestrator.options import Arguments
 from orchestrator.run.driver import SpecChange
 from orchestrator.run.file_watch import FileWatch
 from orchestrator.run.list_watch import ListWatch
@@ -155,12 +156,12 @@ class Job:
             save=given.save,
             max_frames=given.max_frames,
             max_side=given.max_side,
-            ignored=given.ignored.digests,
+            ignored=given.ignore.digests,
             zones=given.zones.digest,
             segment=given.segment,
             keep=given.keep.words if given.keep else (),
         )
-        command = given.command(f"{self._folder.path}-again")
+        command = command_again(given, f"{self._folder.path}-again")
         description = describe_run(
             list(self._streams.values()), self._config, settings, command, self._sources
         )
@@ -199,5 +200,5 @@ class Job:
             line=stream.line,
             live=stream.source.live,
             path=stream.source.path,
-            ignored=self._arguments.ignored.mask_of(stream.name),
+            ignored=self._arguments.ignore.mask_of(stream.name),
         )

@@ -20,7 +20,6 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError
 from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.wording import count_of
-from orchestrator.command_line import Arguments
 from orchestrator.credentials import mask
 from orchestrator.events.delivery import Deliveries
 from orchestrator.interruption import Interruption, StopAtOnce
@@ -29,6 +28,7 @@ from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.ray_metrics import RayMetrics
 from orchestrator.monitor.server import serving
+from orchestrator.options import Arguments
 from orchestrator.program import command_line_of
 from orchestrator.progress import progress_for
 from orchestrator.ray_head import RayHead

@@ -26,7 +26,7 @@ from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.pipeline import Node, StreamActors
 from mlbs_actors.actors.stream.protocol import StreamProgress, StreamSink, StreamSpec
 from mlbs_actors.source import FrameReader
-from orchestrator.command_options import SAVED
+from orchestrator.option_values import SAVED
 from orchestrator.ray_session import ray_session
 from orchestrator.sinks.record import StreamRecord
 

@@ -14,7 +14,7 @@ from segment_fakes import BEGAN, Camera
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.command import run_command
-from orchestrator.command_line import parse
+from orchestrator.command_line import command_again, parse
 from orchestrator.disk_use import bytes_by_kind, stream_use
 from orchestrator.disk_use import main as disk_use
 from orchestrator.events import delivery as delivery_module
@@ -57,7 +57,7 @@ def test_limits_are_an_age_and_a_size() -> None:
         parse_segment("week")
     arguments = parse(["rtsp://host/x", "--keep", "7d", "--keep", "50GB"])
     assert arguments.segment == 3600
-    again = parse(arguments.command("again")[3:])
+    again = parse(command_again(arguments, "again")[3:])
     assert (again.keep, again.segment) == (arguments.keep, 3600)
     assert parse(["rtsp://host/x"]).segment is None
 

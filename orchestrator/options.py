@@ -1,0 +1,349 @@
+"""The options of a run, each written once.
+
+A field of :class:`Arguments` says all there is to say of an option. The parser and its help, the keys of a
+file of cameras, the command that goes on, what ``run.json`` holds, the check at ``--resume`` and a page of
+the docs come from there. Nothing has to be installed for it but Python.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+from orchestrator import option_values as values
+from orchestrator.credentials import PASSWORD_VARIABLE
+from orchestrator.log import FORMATS, LogFormat
+from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
+
+if TYPE_CHECKING:
+    from orchestrator.events.targets import EventTarget
+    from orchestrator.events.zones import ZonesFile
+    from orchestrator.ignored import Ignored
+    from orchestrator.run.retention_limits import Keep
+
+__all__ = ["DEFAULT_OUTPUT", "Arguments", "Effect", "Form", "Option", "options"]
+
+#: Where the results of a list go.
+DEFAULT_OUTPUT = Path("out")
+
+
+class Form(Enum):
+    """How an option is given."""
+
+    VALUE = "FLAG VALUE"
+    FLAG = "FLAG"
+    REPEATED = "FLAG VALUE, again for more"
+    WORDS = "FLAG VALUE VALUE ..."
+    OPTIONAL_VALUE = "FLAG, or FLAG VALUE"
+
+
+class Effect(Enum):
+    """When another value of an option takes effect in a run that has begun."""
+
+    FIXED = "never: it belongs to a run"
+    NEXT_START = "at the next start"
+    AT_ONCE = "within seconds"
+    RESTART = "within seconds, as the stream's processes start again"
+    EPOCH = "within seconds, as the stream's processes start again with a new epoch: all ids are new"
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """An option.
+
+    Attributes
+    ----------
+    meaning : str
+        A sentence without its full stop.
+    metavar : str
+        Stands for its value in the help.
+    form : Form
+    read : callable
+        Turns what was given, a text or for ``REPEATED`` and ``WORDS`` a list of texts, into the value; raises
+        ConfigError.
+    write : callable, optional
+        Turns a value into the texts that give it again, from any folder; None if the command that goes on
+        does not need it.
+    record : callable, optional
+        Turns a value into what ``run.json`` holds of it; None if it holds nothing.
+    effect : Effect
+    of_streams : bool
+        Whether a file of cameras can give it for each stream.
+    page : str
+        Where the docs say more.
+    """
+
+    meaning: str
+    metavar: str = ""
+    form: Form = Form.VALUE
+    read: Callable[[Any], Any] = values.as_given
+    write: Callable[[Any], Sequence[str]] | None = None
+    record: Callable[[Any], object] | None = None
+    effect: Effect = Effect.NEXT_START
+    of_streams: bool = False
+    page: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arguments:
+    """The options of the command, in the order of its help."""
+
+    #: Videos and other sources, named as arguments.
+    sources: tuple[str, ...] = ()
+
+    streams: Annotated[
+        Path | None,
+        Option(
+            "a list of streams, or a YAML file of cameras; they come before those of SOURCE",
+            "LIST",
+            read=Path,
+            write=values.absolute,
+            page="command_line.md#the-list",
+        ),
+    ] = None
+    output: Annotated[
+        Path,
+        Option(
+            "folder for the results; one that holds a run is refused without --resume (default: out; "
+            "without a list, NAME-objects beside a single file or folder; and if that is there, out-2"
+            " and so on, with --resume the last one)",
+            "DIR",
+            read=values.folder,
+            effect=Effect.FIXED,
+            page="command_line.md#where-the-results-go",
+        ),
+    ] = DEFAULT_OUTPUT
+    config: Annotated[
+        Path | None,
+        Option(
+            "YAML file with parameters",
+            "FILE",
+            read=Path,
+            write=values.absolute,
+            effect=Effect.EPOCH,
+            page="configuration.md",
+        ),
+    ] = None
+    set: Annotated[
+        tuple[str, ...],
+        Option(
+            "parameters, after those of --config; for example layers.lookahead=4",
+            "SECTION.KEY=VALUE",
+            form=Form.WORDS,
+            read=tuple,
+            write=list,
+            effect=Effect.EPOCH,
+            of_streams=True,
+            page="configuration.md",
+        ),
+    ] = ()
+    address: Annotated[
+        str | None,
+        Option(
+            "join the Ray cluster at HOST:PORT, or auto (default: one of this run's own, on this machine)",
+            "ADDR",
+            read=values.cluster_address,
+            write=values.one_word,
+            page="cluster.md",
+        ),
+    ] = None
+    resume: Annotated[
+        bool,
+        Option(
+            "continue the run in DIR that was killed or interrupted, or start one if there is none; "
+            "cameras continue after a row gap, and files only with the same options as before",
+            form=Form.FLAG,
+            page="recovery.md",
+        ),
+    ] = False
+    save: Annotated[
+        frozenset[str],
+        Option(
+            f"which of {', '.join(values.SAVABLE)} to write, with commas (default: the first three)",
+            "PARTS",
+            read=values.parts,
+            write=lambda save: [",".join(part for part in values.SAVABLE if part in save)],
+            record=sorted,
+            effect=Effect.RESTART,
+            of_streams=True,
+            page="outputs.md",
+        ),
+    ] = frozenset(values.SAVED)
+    monitor: Annotated[
+        MonitorAddress | None,
+        Option(
+            "serve a live page on this machine, and figures for Prometheus at /metrics there; at "
+            f"another HOST viewers need the token in the environment variable {TOKEN_VARIABLE} "
+            "(default PORT: any that is free)",
+            "[HOST:]PORT",
+            form=Form.OPTIONAL_VALUE,
+            read=values.monitor_address,
+            page="outputs.md#the-run",
+        ),
+    ] = None
+    ray_metrics: Annotated[
+        int | None,
+        Option(
+            "export the figures of every stream through Ray to Prometheus, at PORT of this machine; "
+            "with --address, without PORT, with those of the cluster; needs pip install "
+            "'mlbs-actors[ray-metrics]'",
+            "PORT",
+            form=Form.OPTIONAL_VALUE,
+            read=values.metrics_port,
+            page="outputs.md#the-run",
+        ),
+    ] = None
+    max_frames: Annotated[
+        int | None,
+        Option(
+            "stop each stream after N label maps; frames without one, such as those that cannot be "
+            "decoded, do not count",
+            "N",
+            read=values.at_least_one,
+            write=values.one_word,
+            record=values.as_given,
+        ),
+    ] = None
+    max_side: Annotated[
+        int | None,
+        Option(
+            "process pictures shrunk to N px on the longer side; all results have full size, with "
+            "outlines as coarse as the smaller picture (default: process them as they are)",
+            "N",
+            read=values.side,
+            write=values.one_word,
+            record=values.as_given,
+            effect=Effect.EPOCH,
+            of_streams=True,
+            page="scaling.md",
+        ),
+    ] = None
+    ignore: Annotated[
+        "Ignored",
+        Option(
+            "what is fixed in the picture of the stream NAME (default: of all), besides what is found"
+            " by itself: a picture in which it is not 0, or a text file with a polygon on each line, "
+            "x1,y1,x2,y2,… from 0 to 1 of the picture's width and height; may be given again for "
+            "other streams",
+            "[NAME=]FILE",
+            form=Form.REPEATED,
+            read=values.ignored,
+            write=lambda ignored: list(ignored.digests),
+            record=lambda ignored: ignored.digests or None,
+            effect=Effect.RESTART,
+            of_streams=True,
+            page="method.md#what-is-fixed-in-the-picture",
+        ),
+    ]
+    zones: Annotated[
+        "ZonesFile",
+        Option(
+            "YAML file with zones and lines of each stream, and the least size, age and speed of "
+            "objects, for the events in DIR/NAME/events.jsonl",
+            "FILE",
+            read=Path,
+            write=lambda zones: [] if zones.path is None else [str(zones.path)],
+            record=lambda zones: zones.digest,
+            effect=Effect.AT_ONCE,
+            page="events.md#zones",
+        ),
+    ]
+    events: Annotated[
+        tuple["EventTarget", ...],
+        Option(
+            "send events to mqtt://[USER[:PASSWORD]@]HOST[:PORT]/TOPIC (mqtts: by TLS), or as a POST "
+            "to a webhook at http:// or https://; for a USER without PASSWORD that of the environment"
+            f" variable {PASSWORD_VARIABLE} is taken; may be given again",
+            "URL",
+            form=Form.REPEATED,
+            read=values.targets,
+            write=lambda targets: [target.shown for target in targets],
+            page="events.md#sending-them",
+        ),
+    ] = ()
+    segment: Annotated[
+        int | None,
+        Option(
+            "write the record of each camera in segments of an hour, a day, or so many seconds: a "
+            "folder DIR/NAME/TIME for each, with one archive of all masks (default: none; with --keep"
+            " hour)",
+            "TIME",
+            read=values.segment,
+            write=values.one_word,
+            record=values.as_given,
+            effect=Effect.RESTART,
+            of_streams=True,
+            page="outputs.md#cameras-in-segments",
+        ),
+    ] = None
+    keep: Annotated[
+        "Keep | None",
+        Option(
+            "of cameras delete the oldest closed segments, so that what is left is not older than an "
+            "age, such as 7d, or all together not larger than a size, such as 50GB; may be given "
+            "twice, once for each",
+            "LIMIT",
+            form=Form.REPEATED,
+            read=values.keep,
+            write=lambda keep: list(keep.words),
+            record=lambda keep: list(keep.words),
+            effect=Effect.AT_ONCE,
+            of_streams=True,
+            page="outputs.md#what-is-kept",
+        ),
+    ] = None
+    watch: Annotated[
+        bool,
+        Option(
+            "read the list again whenever it changes: new names start, removed ones are finished, bad"
+            " lines are reported and ignored until they are corrected; the run continues until a "
+            "signal; with --resume the list may also change between two runs",
+            form=Form.FLAG,
+            write=values.no_words,
+            page="command_line.md#a-list-that-changes",
+        ),
+    ] = False
+    give_up_after: Annotated[
+        int | None,
+        Option(
+            "end the stream of a camera that sent no picture for this long, also at the start "
+            "(default: try it again for ever)",
+            "SECONDS",
+            read=values.at_least_one,
+            write=values.one_word,
+            effect=Effect.RESTART,
+            of_streams=True,
+            page="command_line.md#cameras",
+        ),
+    ] = None
+    places: Annotated[
+        int | None,
+        Option(
+            "run N streams at once, whatever they take (default: two files a core, and cameras as "
+            "long as CPU time and memory last for what they are measured to take)",
+            "N",
+            read=values.at_least_one,
+            write=values.one_word,
+            page="scaling.md#more-streams",
+        ),
+    ] = None
+    log: Annotated[
+        LogFormat,
+        Option(
+            f"how progress and messages are written, {' or '.join(FORMATS)}: json for JSON lines "
+            "(default: text, a live table on a terminal, else a line of text per stream when "
+            "something changes, and now and then)",
+            "FORMAT",
+            read=values.log_format,
+            page="command_line.md#what-is-printed",
+        ),
+    ] = "text"
+
+
+def options() -> Iterator[tuple[str, Option]]:
+    """Yield the name of each option, as a field of :class:`Arguments`, with what is to say of it."""
+    for name, annotation in Arguments.__annotations__.items():
+        for one in get_args(annotation):
+            if isinstance(one, Option):
+                yield name, one
