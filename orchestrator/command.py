@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from mlbs_actors.config import load_config
+from mlbs_actors.config import Config, load_config
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.command_line import parse
 from orchestrator.interruption import StopAtOnce
 from orchestrator.log import Log
+from orchestrator.options import Arguments
 from orchestrator.ray_session import ray_settings, starting_ray
 from orchestrator.run.argument_streams import argument_streams
-from orchestrator.run.stream_list import missing_sources, read_stream_list
+from orchestrator.run.listed_stream import StreamsFile
+from orchestrator.run.resumption import earlier_streams, is_known
+from orchestrator.run.run_folder import RunFolder
+from orchestrator.run.stream_list import missing_sources, parse_stream_list, read_stream_list
 
 __all__ = ["run_command"]
 
@@ -35,8 +40,11 @@ def run_command(argv: Sequence[str]) -> int:
         log = Log(arguments.log, str(arguments.output.resolve()))
         if arguments.zones.fault is not None:
             log.warn(arguments.zones.fault)
-        streams = () if arguments.streams is None else read_stream_list(arguments.streams)
-        streams += argument_streams(arguments.sources, [stream.name for stream in streams])
+        before = _begun(arguments)
+        listed = _listed(arguments, before, log)
+        names = [stream.name for stream in listed.streams]
+        streams = (*listed.streams, *argument_streams(arguments.sources, names))
+        listed = replace(listed, streams=streams)
         unknown = sorted(arguments.ignore.streams - {stream.name for stream in streams})
         if unknown and not arguments.watch:
             raise ConfigError(f"--ignore names the stream {unknown[0]!r}, which is not one of this run.")
@@ -51,7 +59,7 @@ def run_command(argv: Sequence[str]) -> int:
                 "--segment and --keep are for cameras, of which this run has none; leave them out. "
                 "The record of a file is always kept whole."
             )
-        config = load_config(arguments.config, arguments.set)
+        config = _parameters(arguments, before, log)
         missing = missing_sources(arguments.streams, streams)
         with (
             ray_settings(arguments.address) as scratch,
@@ -60,7 +68,7 @@ def run_command(argv: Sequence[str]) -> int:
             # Imported here, because it imports Ray, which reads its settings then.
             from orchestrator.run.run import run
 
-            return run(arguments, streams, missing, config, scratch, head, log)
+            return run(arguments, listed, missing, config, scratch, head, log)
     except ConfigError as error:
         log.say(str(error), "error")
         return 2
@@ -73,3 +81,39 @@ def run_command(argv: Sequence[str]) -> int:
             "To continue, give the same command with --resume."
         )
         return 128 + stop.signal_number
+
+
+def _begun(arguments: Arguments) -> RunFolder | None:
+    """Return the run that a service goes on with: whatever somebody has edited, it must start."""
+    folder = RunFolder(arguments.output.resolve())
+    return folder if arguments.resume and arguments.watch and folder.holds_run else None
+
+
+def _listed(arguments: Arguments, before: RunFolder | None, log: Log) -> StreamsFile:
+    """Read the list; of a run that goes on with what was in force where it cannot be used."""
+    if arguments.streams is None:
+        return StreamsFile((), {})
+    if before is None:
+        return read_stream_list(arguments.streams)
+    earlier = earlier_streams(before, arguments.streams)
+    try:
+        parsed = parse_stream_list(arguments.streams, earlier)
+    except ConfigError as error:
+        log.say(f"{error} What was in force before goes on.", "error")
+        parsed = earlier
+    for number, fault in sorted(parsed.faults.items()):
+        log.say(f"{arguments.streams}, line {number}: {fault}. It is ignored until it is mended.", "error")
+    hidden = [stream.name for stream in parsed.streams if not is_known(stream.source)]
+    if hidden:
+        log.say(f"Without the list the addresses of {', '.join(hidden)} are not known; they wait.", "error")
+    return replace(parsed, streams=tuple(one for one in parsed.streams if one.name not in hidden))
+
+
+def _parameters(arguments: Arguments, before: RunFolder | None, log: Log) -> Config:
+    try:
+        return load_config(arguments.config, arguments.set)
+    except ConfigError as error:
+        if before is None:
+            raise
+        log.say(f"{error} The parameters of before hold on.", "error")
+        return Config.model_validate(before.description()["config"])

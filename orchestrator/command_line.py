@@ -12,13 +12,13 @@ from mlbs_actors.errors import ConfigError
 from orchestrator.command_options import command_parser, flag_of
 from orchestrator.events.zones import ZonesFile, read_zones
 from orchestrator.mistaken_flags import refuse_source_behind, unknown_flag
-from orchestrator.options import DEFAULT_OUTPUT, Arguments, Form, Option, options
+from orchestrator.options import DEFAULT_OUTPUT, Arguments, Form, options
 from orchestrator.program import command_line_of
 from orchestrator.run.argument_streams import DEMO, argument_address, default_output
+from orchestrator.run.edited_files import newest_version
 from orchestrator.run.retention_limits import HOUR
-from orchestrator.run.zones_history import newest_zones
 
-__all__ = ["command_again", "parse", "read_option"]
+__all__ = ["command_again", "parse"]
 
 
 def parse(argv: Sequence[str]) -> Arguments:
@@ -42,7 +42,7 @@ def parse(argv: Sequence[str]) -> Arguments:
         if option.form in (Form.WORDS, Form.OPTIONAL_VALUE):
             refuse_source_behind(flag_of(name), raw if isinstance(raw, list) else [raw])
         if raw is not None:
-            values[name] = read_option(flag_of(name), option, raw)
+            values[name] = option.value(flag_of(name), raw)
     if not values["sources"] and given.streams is None:
         if not given.or_demo:
             raise ConfigError(
@@ -59,14 +59,6 @@ def parse(argv: Sequence[str]) -> Arguments:
     if arguments.keep is not None and arguments.segment is None:
         return replace(arguments, segment=HOUR)
     return arguments
-
-
-def read_option(name: str, option: Option, raw: Any) -> Any:
-    """Read the value of an option from what was given; ``name`` is for the message of the ConfigError."""
-    try:
-        return option.read(raw)
-    except ValueError as error:
-        raise ConfigError(f"{name} {error}") from None
 
 
 def command_again(arguments: Arguments, output: str) -> list[str]:
@@ -105,7 +97,7 @@ def _refuse_together(arguments: Arguments) -> None:
 
 def _zones(path: Path | None, resumed: Path | None) -> ZonesFile:
     """Read the zones; of a resumed run those of before, if the file cannot be used, so that it goes on."""
-    before = None if resumed is None else newest_zones(resumed)
+    before = None if resumed is None else newest_version(resumed, "zones")
     if path is None:
         if before is None:
             return ZonesFile()

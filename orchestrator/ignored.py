@@ -50,9 +50,13 @@ class Ignored:
 
     files: Mapping[str | None, IgnoredFile]
 
+    def file_of(self, stream: str) -> IgnoredFile | None:
+        """Return the file of a stream, if it has one."""
+        return self.files.get(stream, self.files.get(None))
+
     def mask_of(self, stream: str) -> Array | None:
         """Return the mask (h, w) bool of a stream, if it has one."""
-        file = self.files.get(stream, self.files.get(None))
+        file = self.file_of(stream)
         return None if file is None else file.mask
 
     @property

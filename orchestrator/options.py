@@ -5,7 +5,7 @@ file of cameras, the command that goes on, what ``run.json`` holds, the check at
 the docs come from there. Nothing has to be installed for it but Python.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from orchestrator.ignored import Ignored
     from orchestrator.run.retention_limits import Keep
 
-__all__ = ["DEFAULT_OUTPUT", "Arguments", "Effect", "Form", "Option", "options"]
+__all__ = ["DEFAULT_OUTPUT", "Arguments", "Effect", "Form", "Option", "options", "recorded"]
 
 #: Where the results of a list go.
 DEFAULT_OUTPUT = Path("out")
@@ -83,6 +83,21 @@ class Option:
     effect: Effect = Effect.NEXT_START
     of_streams: bool = False
     page: str = ""
+
+    def value(self, name: str, raw: str | list[str] | bool) -> Any:
+        """Return the value of what was given.
+
+        Raises
+        ------
+        ConfigError
+            If it is not understood; the message begins with ``name``.
+        """
+        from mlbs_actors.errors import ConfigError
+
+        try:
+            return self.read(raw)
+        except ValueError as error:
+            raise ConfigError(f"{name} {error}") from None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -347,3 +362,10 @@ def options() -> Iterator[tuple[str, Option]]:
         for one in get_args(annotation):
             if isinstance(one, Option):
                 yield name, one
+
+
+def recorded(values: Mapping[str, Any]) -> dict[str, object]:
+    """Return what ``run.json`` holds of options, by their names; of those that are missing None."""
+    kept = {name: option.record for name, option in options() if option.record is not None}
+    given = {name: values.get(name) for name in kept}
+    return {name: None if given[name] is None else record(given[name]) for name, record in kept.items()}

@@ -67,6 +67,9 @@ class CoordinatorPart(Protocol):
         whether the frame is known to be damaged.
         """
 
+    def begin_anew(self) -> list[FrameEvidence]:
+        """Return the evidence of the frames still held, and go on as with another scene."""
+
     def flush(self) -> list[FrameEvidence]:
         """Return the evidence of the frames still held, at the end of the stream."""
 

@@ -9,7 +9,7 @@ they are read, ``parameters`` what they have in common; ``scale`` has how length
 """
 
 from mlbs_actors.config.clustering import AffinityConfig, IdentityConfig, LayersConfig
-from mlbs_actors.config.config import Config, load_config
+from mlbs_actors.config.config import Config, load_config, with_overrides
 from mlbs_actors.config.layer import AppearanceConfig, MotionConfig, PosteriorConfig
 from mlbs_actors.config.scale import detail, length_scale
 from mlbs_actors.config.segmentation import SegmentationConfig
@@ -30,4 +30,5 @@ __all__ = [
     "detail",
     "length_scale",
     "load_config",
+    "with_overrides",
 ]

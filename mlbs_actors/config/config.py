@@ -17,7 +17,7 @@ from mlbs_actors.config.segmentation import SegmentationConfig
 from mlbs_actors.config.tracking import FlowConfig, GridConfig, TrajectoriesConfig
 from mlbs_actors.errors import ConfigError
 
-__all__ = ["Config", "load_config"]
+__all__ = ["Config", "load_config", "with_overrides"]
 
 
 class Config(Parameters):
@@ -67,6 +67,15 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
         if loaded is not None and not isinstance(loaded, dict):
             raise ConfigError(f"The configuration {path} must hold sections of key: value pairs.")
         values = loaded or {}
+    return _changed(values, overrides)
+
+
+def with_overrides(config: Config, overrides: Sequence[str]) -> Config:
+    """Return other parameters: those of ``config`` but for overrides, as of :func:`load_config`."""
+    return _changed(config.model_dump(), overrides)
+
+
+def _changed(values: dict[str, Any], overrides: Sequence[str]) -> Config:
     for override in overrides:
         name, equals, text = override.partition("=")
         section, dot, key = name.strip().partition(".")

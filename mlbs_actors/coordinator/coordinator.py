@@ -118,6 +118,16 @@ class Coordinator:
             shown += self._carry_out(decision, feedback)
         return shown + self._ready()
 
+    def begin_anew(self) -> list[FrameEvidence]:
+        """End the epoch, as after a cut; return what was held of it.
+
+        For other parameters than those of the state, by which the next picture begins another epoch.
+        """
+        shown = self.flush()
+        self.state.left = ()
+        self._begin_epoch(self.state.next_frame, self.state.epoch.shape, cut=True)
+        return shown
+
     def flush(self) -> list[FrameEvidence]:
         """Emit what is still held at the end of the stream."""
         for one in passed_over(self.state.epoch.waiting):

@@ -9,13 +9,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.rows.scene_place import Point
+from orchestrator.yaml_file import faults_of, read_yaml
 
-__all__ = ["EventRules", "Minimum", "Zone", "ZonesFile", "crossing", "is_inside", "read_zones"]
+__all__ = ["EventRules", "Minimum", "StreamRules", "Zone", "ZonesFile", "crossing", "is_inside", "read_zones"]
 
 _Coordinate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -88,11 +88,14 @@ class EventRules:
     minimum : Minimum
     remembered : int
         Label maps without a pixel of an object after which it has ended.
+    settings : str
+        What tells all else that the record depends on from other settings.
     """
 
     zones: tuple[Zone, ...] = ()
     minimum: Minimum = field(default_factory=Minimum)
     remembered: int = 30
+    settings: str = ""
 
     @property
     def digest(self) -> str:
@@ -108,12 +111,18 @@ class EventRules:
 _RULES = TypeAdapter(EventRules)
 
 
-class _OfStream(_Strict):
+class StreamRules(_Strict):
+    """What a file says of one stream."""
+
     zones: tuple[Zone, ...] = ()
     minimum: Minimum | None = None
 
+    def as_event_rules(self, remembered: int) -> EventRules:
+        """Return what the events of the stream depend on; see :class:`EventRules` for ``remembered``."""
+        return EventRules(self.zones, self.minimum or Minimum(), remembered)
+
     @model_validator(mode="after")
-    def _names_once(self) -> _OfStream:
+    def _names_once(self) -> StreamRules:
         names = [zone.name for zone in self.zones]
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise ValueError(f"two zones are named {twice!r}")
@@ -121,7 +130,7 @@ class _OfStream(_Strict):
 
 
 class _Content(_Strict):
-    streams: dict[str, _OfStream] = {}
+    streams: dict[str, StreamRules] = {}
     minimum: Minimum = Minimum()
 
 
@@ -157,8 +166,10 @@ class ZonesFile:
 
     def rules_of(self, stream: str, remembered: int) -> EventRules:
         """Return the rules of a stream; see :class:`EventRules` for ``remembered``."""
-        own = self.content.streams.get(stream, _OfStream())
-        return EventRules(own.zones, own.minimum or self.content.minimum, remembered)
+        own = self.content.streams.get(stream, StreamRules())
+        if own.minimum is None:
+            own = own.model_copy(update={"minimum": self.content.minimum})
+        return own.as_event_rules(remembered)
 
 
 def read_zones(path: Path) -> ZonesFile:
@@ -169,63 +180,16 @@ def read_zones(path: Path) -> ZonesFile:
     ConfigError
         If it cannot be read, or holds anything that is not understood; names the line.
     """
+    file = read_yaml(path, "--zones")
+    if file.tree is None:
+        raise ConfigError(f"--zones: {path} is empty; name at least one stream below 'streams:'.")
     try:
-        text = path.read_text(encoding="utf-8")
-        tree = yaml.compose(text, yaml.SafeLoader)
-        if tree is None:
-            raise ConfigError(f"--zones: {path} is empty; name at least one stream below 'streams:'.")
-        _refuse_twice(path, tree)
-        content = _Content.model_validate(yaml.safe_load(text))
-    except OSError as error:
-        raise ConfigError(f"--zones: {path} cannot be read: {error.strerror}.") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"--zones: {path} is no text in UTF-8.") from None
-    except yaml.MarkedYAMLError as error:
-        line = 1 if error.problem_mark is None else error.problem_mark.line + 1
-        raise ConfigError(f"--zones: {path}, line {line}: {error.problem}.") from None
-    except yaml.YAMLError as error:
-        raise ConfigError(f"--zones: {path} is no YAML: {error}") from None
+        content = _Content.model_validate(file.content)
     except ValidationError as invalid:
-        faults = "\n".join(f"  {_fault(tree, fault['loc'], fault['msg'])}" for fault in invalid.errors())
-        raise ConfigError(f"--zones: {path} cannot be used:\n{faults}") from None
-    except (ValueError, TypeError, RecursionError) as error:  # such as a date that there is not, or a loop
-        raise ConfigError(f"--zones: {path} cannot be understood: {error}.") from None
-    return ZonesFile(path.absolute(), text, content)
-
-
-def _refuse_twice(path: Path, node: yaml.Node) -> None:
-    """Refuse a key that stands twice in one mapping: YAML would silently take the last."""
-    if isinstance(node, yaml.MappingNode):
-        names = set()
-        for key, value in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                raise ConfigError(f"--zones: {path}, line {key.start_mark.line + 1}: this is no name.")
-            if key.value in names:
-                raise ConfigError(
-                    f"--zones: {path}, line {key.start_mark.line + 1}: {key.value!r} stands there twice."
-                )
-            names.add(key.value)
-            _refuse_twice(path, value)
-    elif isinstance(node, yaml.SequenceNode):
-        for item in node.value:
-            _refuse_twice(path, item)
-
-
-def _fault(tree: yaml.Node | None, place: Sequence[int | str], message: str) -> str:
-    node, words = tree, message.removeprefix("Value error, ")
-    for depth, step in enumerate(place, start=1):
-        if isinstance(node, yaml.MappingNode):
-            found = [(key, value) for key, value in node.value if str(key.value) == str(step)]
-            if not found:
-                break  # it is missing
-            key, node = found[0]
-            if depth == len(place) and words.startswith("Extra inputs"):
-                node, words = key, "there is no such key"
-        elif isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):
-            node = node.value[step]
-    where = ".".join(map(str, place))
-    line = 1 if node is None else node.start_mark.line + 1
-    return f"line {line}: {where + ': ' if where else ''}{words}"
+        faults = faults_of(file.tree, invalid)
+        lines = "\n".join(f"  line {line}: {words}" for line, words in faults.items())
+        raise ConfigError(f"--zones: {path} cannot be used:\n{lines}") from None
+    return ZonesFile(path.absolute(), file.text, content)
 
 
 def is_inside(point: Point, corners: Sequence[Point]) -> bool:

@@ -12,7 +12,8 @@ from pathlib import Path
 from mlbs_actors.errors import ConfigError, SourceError
 from orchestrator.credentials import mask
 from orchestrator.program import command_line_of
-from orchestrator.run.stream_list import MAX_NAME_BYTES, MAX_STREAMS, RESERVED_NAMES, ListedStream
+from orchestrator.run.listed_stream import MAX_NAME_BYTES, RESERVED_NAMES, ListedStream
+from orchestrator.run.stream_list import MAX_STREAMS
 from orchestrator.sources.address import SourceAddress, parse_address
 from orchestrator.sources.presence import is_image, is_source, parts_of
 

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
@@ -22,7 +22,9 @@ from orchestrator.run.admission import Admission
 from orchestrator.run.load import LoadMeter
 from orchestrator.run.recovery import STALL_SECONDS, START_SECONDS, Returns
 from orchestrator.run.stream_state import (
+    ENDED,
     StreamState,
+    after_change,
     after_end,
     after_failure,
     after_interruption,
@@ -57,12 +59,18 @@ class SpecChange:
         New ones.
     removed : tuple of str
         Names of those to end.
+    renamed : mapping of str to (str, callable)
+        New ones that may be added only when another one has ended, which is told by the call.
+    restarted : tuple of (StreamSpec, bool)
+        Those to go on with other processes, as they are now, and whether their sources are the same.
     configured : tuple of (StreamSpec, object)
         How others are to start from now on, and what their records are to follow at once.
     """
 
     added: tuple[StreamSpec, ...] = ()
     removed: tuple[str, ...] = ()
+    renamed: Mapping[str, tuple[str, Callable[[], None]]] = field(default_factory=dict)
+    restarted: tuple[tuple[StreamSpec, bool], ...] = ()
     configured: tuple[tuple[StreamSpec, object], ...] = ()
 
 
@@ -120,6 +128,8 @@ class Driver:
         self._loads: dict[str, LoadMeter] = {}
         self._removed: set[str] = set()  # taken from the list, and not ended yet
         self._coming: dict[str, StreamSpec] = {}  # new in the list, and not added yet
+        self._renamed: dict[str, tuple[str, Callable[[], None]]] = {}
+        self._restarting: dict[str, bool] = {}  # with other settings; whether the source is the same
         self._streams: dict[str, RunningStream] = {}
         self._bursts: dict[Future[StreamProgress], str] = {}
         self._asked: dict[str, float] = {}
@@ -163,6 +173,9 @@ class Driver:
             else:
                 self._states[name] = after_removal(self._states[name], None)
         self._coming |= {spec.name: spec for spec in change.added}
+        self._renamed |= change.renamed
+        for spec, same_source in change.restarted:
+            self._restart(spec, same_source=same_source)
         for spec, settings in change.configured:
             known = self._coming if spec.name in self._coming else self._specs
             known[spec.name] = spec
@@ -170,11 +183,29 @@ class Driver:
                 self._streams[spec.name].configure(settings)
         self._show()
 
+    def _restart(self, spec: StreamSpec, *, same_source: bool) -> None:
+        """Have a stream go on as it is to be now: after its burst, or when it starts."""
+        name = spec.name
+        if name in self._coming:
+            self._coming[name] = spec
+        elif (state := self._states[name]).state in ENDED:
+            self._coming[name] = spec
+            if state.live:  # which was given up
+                self._states[name] = replace(state, interrupted=True)
+        else:
+            self._specs[name] = spec
+            if name in self._streams or name in self._returning:
+                self._restarting[name] = same_source and self._restarting.get(name, True)
+
     def _add_coming(self) -> None:
         """Add the streams of new lines; one that comes back, once its processes are gone."""
         ending = {*self._removed, *self._endings.values()}
-        for name in [name for name in self._coming if name not in ending]:
+        for name in [name for name in self._coming if self._renamed.get(name, [name])[0] not in ending]:
             spec = self._coming.pop(name)
+            if name in self._renamed:
+                before, ended = self._renamed.pop(name)
+                self._states.pop(before, None)
+                ended()
             if name in self._states and has_ended(self._states[name]):
                 continue
             self._specs[name] = spec
@@ -198,7 +229,9 @@ class Driver:
         self._loads[name] = LoadMeter(self._clock)
         spec = replace(self._specs[name], last_try=self._returns[name].last_try)
         try:
-            self._streams[name] = self._host.start(spec, self._returning.get(name))
+            # A reader that lived on reads the source of before.
+            before = self._returning.get(name) if self._restarting.pop(name, True) else None
+            self._streams[name] = self._host.start(spec, before)
             self._returning.pop(name, None)
             self._states[name] = replace(self._states[name], node=self._streams[name].node)
             self._advance(name)
@@ -246,6 +279,10 @@ class Driver:
         self._set(after_progress(self._states[name], progress, load.frames_per_second, load.cores))
         if name in self._removed:
             self._end(name, drain=True)
+        elif name in self._restarting:
+            self._returning[name] = self._streams[name]
+            self._set(after_change(self._states[name]))
+            self._end(name, drain=True)
         elif self._interruption.signal_number is None:
             self._advance(name)
 
@@ -284,11 +321,11 @@ class Driver:
 
     def _end(self, name: str, *, drain: bool) -> Future[StreamProgress | None]:
         stream = self._streams.pop(name)
-        returning = name in self._returning
+        returning, keeps_reader = name in self._returning, self._restarting.get(name, True)
 
         def stop() -> StreamProgress | None:
             try:
-                return stream.stop(drain=drain, returns=returning)
+                return stream.stop(drain=drain, returns=returning and keeps_reader)
             finally:
                 if returning:
                     self._host.repair()

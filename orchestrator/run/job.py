@@ -14,14 +14,17 @@ from mlbs_actors.errors import ConfigError
 from mlbs_actors.source import FrameReader
 from orchestrator.command_line import command_again
 from orchestrator.credentials import mask
-from orchestrator.events.zones import EventRules, read_zones
-from orchestrator.options import Arguments
+from orchestrator.events.zones import read_zones
+from orchestrator.options import Arguments, Effect, recorded
 from orchestrator.run.driver import SpecChange
+from orchestrator.run.edited_files import keep_version
 from orchestrator.run.file_watch import FileWatch
-from orchestrator.run.list_watch import ListWatch
-from orchestrator.run.run_folder import CHANGING, RunFolder, RunSettings, describe_run
-from orchestrator.run.stream_list import ListedStream
-from orchestrator.run.zones_history import keep_zones
+from orchestrator.run.list_watch import ListChange, ListWatch
+from orchestrator.run.listed_stream import ListedStream
+from orchestrator.run.resumption import with_new_names
+from orchestrator.run.retention_limits import Keep
+from orchestrator.run.run_folder import RunFolder, describe_run
+from orchestrator.run.stream_settings import StreamSettings, changes_between, settings_of, words_of_changes
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.record import StreamRecord, ends_group
 from orchestrator.sources.address import SourceAddress
@@ -44,9 +47,8 @@ class Job:
         Folder of the monitor's pictures.
     say : callable
         Receives messages for the user.
-    recorded : mapping of str to str, optional
-        Sources of streams that an earlier run in the folder has recorded, by name. Those that the list does
-        not name any more stay in the description, so that their results can be exported.
+    begun : mapping, optional
+        The content of ``run.json`` that an earlier start has left.
 
     Attributes
     ----------
@@ -62,7 +64,7 @@ class Job:
         folder: RunFolder,
         live: Path | None,
         say: Callable[[str], None],
-        recorded: Mapping[str, str] | None = None,
+        begun: Mapping[str, Any] | None = None,
     ) -> None:
         self._streams = {stream.name: stream for stream in streams}
         self._arguments = arguments
@@ -70,10 +72,10 @@ class Job:
         self._folder = folder
         self._live = live
         self._say = say
-        self._sources = dict(recorded or {})
         self._gone: set[str] = set()  # which the list does not name any more
         self._unlisted = {stream.name for stream in streams if stream.line is None}
-        self.description = self._described()
+        self._settings = self._asked()
+        self.description = self._described(begun)
         self._watch = None
         if arguments.watch and arguments.streams is not None:
             listed = [stream for stream in streams if stream.line is not None]
@@ -93,112 +95,171 @@ class Job:
         """Return the sources of those of ``specs`` that are no cameras, by name."""
         return {spec.name: self._streams[spec.name].source for spec in specs if not spec.live}
 
-    def rules(self, name: str) -> EventRules:
-        """Return what the events of a stream depend on."""
-        return self._arguments.zones.rules_of(name, self._config.layers.dormant_frames)
+    def settings(self, name: str) -> StreamSettings:
+        """Return what a stream is asked for."""
+        return self._settings[name]
+
+    def keeps(self) -> dict[str | None, Keep]:
+        """Return how much is kept of each camera that has a limit of its own, and for None of all others."""
+        kept: dict[str | None, Keep] = {}
+        for name, stream in self._streams.items():
+            if isinstance(keep := stream.own.options.get("keep"), Keep):
+                kept[name] = keep
+        if self._arguments.keep is not None:
+            kept[None] = self._arguments.keep
+        return kept
 
     def changes(self) -> SpecChange | None:
         """Return changes to the list, and to the file of zones."""
         change = None if self._watch is None else self._watch.look()
-        before = self._arguments.zones
-        configured = self._with_other_zones()
-        if change is None and self._arguments.zones == before:
+        if change is None and not self._has_other_zones():
             return None
-        added, removed = ((), ()) if change is None else (change.added, change.removed)
-        self._streams |= {stream.name: stream for stream in added}
-        self._gone = (self._gone | set(removed)) - {stream.name for stream in added}
-        described = self._described()
-        self.description |= {key: described[key] for key in CHANGING}
+        change = change or ListChange((), (), ())
+        before, sources = self._settings, {name: one.source for name, one in self._streams.items()}
+        self._streams |= {stream.name: stream for stream in (*change.added, *change.changed)}
+        self._gone = (self._gone | set(change.removed)) - {stream.name for stream in change.added}
+        self._settings = self._asked()
+        added = {stream.name for stream in change.added}
+        restarted, configured = [], []
+        for name, now in self._settings.items():
+            if name in self._gone or name in added or name not in before:
+                continue
+            same_source = sources[name] == self._streams[name].source
+            effects = self._told_changes(name, before[name], now, same_source=same_source)
+            spec = self._spec(self._streams[name])
+            if not same_source or effects & {Effect.RESTART, Effect.EPOCH}:
+                same_reader = same_source and Effect.EPOCH not in effects
+                restarted.append((spec, same_reader))
+            elif effects:
+                configured.append((spec, now.rules))
+        self.keep_description(change.text)
+        return SpecChange(
+            tuple(map(self._spec, change.added)),
+            change.removed,
+            {one.name: (one.was, partial(self._rename, one)) for one in change.added if one.was is not None},
+            tuple(restarted),
+            tuple(configured),
+        )
+
+    def _told_changes(
+        self, name: str, before: StreamSettings, now: StreamSettings, *, same_source: bool
+    ) -> set[Effect]:
+        """Say what is other for a stream from now on; return when that takes effect."""
+        was, is_now = before.described(), now.described()
+        effects = changes_between(was, is_now)
+        words = [] if same_source else [f"it is at {self._streams[name].source} now"]
+        words += [
+            "other zones or rules" if key == "rules" else f"{key} {words_of_changes(was[key], is_now[key])}"
+            for key in effects
+            if key != "rules" or set(effects) == {"rules"}
+        ]
+        if words:
+            epoch = "; a new epoch begins" if Effect.EPOCH in effects.values() else ""
+            self._say(f"From now on for {name}: {', '.join(words)}{epoch}.")
+        return set(effects.values())
+
+    def _rename(self, stream: ListedStream) -> None:
+        """Take up a stream that had another name; what was recorded of it is not written to any more."""
         try:
+            self.description = with_new_names(self._folder, self.description, [stream], self._say)
             self._folder.redescribe(self.description)
         except OSError as error:
-            self._say(f"{self._folder.path}/run.json cannot be written: {error.strerror}; free some space.")
-        others = ((self._spec(self._streams[name]), self.rules(name)) for name in configured)
-        return SpecChange(tuple(map(self._spec, added)), removed, tuple(others))
+            self._say(f"{stream.was} cannot get the name {stream.name}: {error.strerror}.")
 
-    def _with_other_zones(self) -> list[str]:
-        """Read the file of zones again if it has changed; return the streams with other rules."""
+    def _has_other_zones(self) -> bool:
+        """Read the file of zones again if it has changed; return whether it says something else."""
         if self._zones_watch is None or not self._zones_watch.has_changed():
-            return []
-        path = self._arguments.zones.path
+            return False
+        path, before = self._arguments.zones.path, self._arguments.zones
         assert path is not None  # watched
-        before = {name: self.rules(name) for name in self._streams}
         try:
             zones = read_zones(path)
         except ConfigError as error:
             self._say(f"{str(error).rstrip('.')}. The zones of before hold on.")
             self._zones_are_faulty = True
-            return []
+            return False
         self._arguments = replace(self._arguments, zones=zones)
-        here = self._streams.keys() - self._gone
-        if unknown := sorted(zones.streams - here):
+        if unknown := sorted(zones.streams - (self._streams.keys() - self._gone)):
             self._say(f"--zones names {', '.join(unknown)}, not streams of this run at present.")
-        changed = [name for name in before if name in here and before[name] != self.rules(name)]
-        if changed:
-            self._say(f"Other zones, from now on: {', '.join(changed)}.")
-        elif self._zones_are_faulty:
+        if self._zones_are_faulty and zones.content == before.content:
             self._say("The file of zones can be read again; it says the same as before.")
         self._zones_are_faulty = False
-        try:
-            keep_zones(self._folder.path, zones.text or "")
-        except OSError as error:
-            self._say(f"{self._folder.path} cannot be written to: {error.strerror}; free some space.")
-        return changed
+        return True
+
+    def _asked(self) -> dict[str, StreamSettings]:
+        return {
+            name: settings_of(stream, self._arguments, self._config) for name, stream in self._streams.items()
+        }
 
     def _recorded_source(self, name: str) -> str | None:
         if name in self._unlisted:
             return "an argument of the command"
-        return self._sources.get(name, "") if self._folder.stream(name).exists() else None
+        if not self._folder.stream(name).exists():
+            return None
+        source: str = self.description["sources"].get(name, "")
+        return source
 
-    def _described(self) -> dict[str, Any]:
+    def keep_description(self, cameras: str | None) -> None:
+        """Write ``run.json``, and what is in force of the files that are edited.
+
+        Parameters
+        ----------
+        cameras : str, optional
+            What the file of cameras says.
+        """
+        self.description = self._described(self.description)
+        try:
+            self._folder.redescribe(self.description)
+            if cameras is not None:
+                keep_version(self._folder.path, "cameras", cameras)
+            if self._arguments.zones.text is not None:
+                keep_version(self._folder.path, "zones", self._arguments.zones.text)
+        except OSError as error:
+            self._say(f"{self._folder.path} cannot be written to: {error.strerror}; free some space.")
+
+    def _described(self, before: Mapping[str, Any] | None) -> dict[str, Any]:
         given = self._arguments
-        settings = RunSettings(
-            save=given.save,
-            max_frames=given.max_frames,
-            max_side=given.max_side,
-            ignored=given.ignore.digests,
-            zones=given.zones.digest,
-            segment=given.segment,
-            keep=given.keep.words if given.keep else (),
-        )
+        asked = recorded({name: getattr(given, name) for name in given.__slots__})
         command = command_again(given, f"{self._folder.path}-again")
-        description = describe_run(
-            list(self._streams.values()), self._config, settings, command, self._sources
-        )
-        self._sources = description["sources"]
-        return description
+        description = describe_run(list(self._streams.values()), self._config, asked, command, before)
+        described = {name: one.described() for name, one in self._settings.items()}
+        ours = description | {"ignore": None, "rules": None, "give_up_after": given.give_up_after}
+        own = {
+            name: {key: value for key, value in values.items() if value != ours[key]}
+            for name, values in described.items()
+            if self._streams[name].own.options or self._streams[name].own.rules
+        }
+        return description | {"settings": description["settings"] | own}
 
     def _spec(self, stream: ListedStream) -> StreamSpec:
-        save, max_side = self._arguments.save, self._arguments.max_side
-        reader: Callable[[], FrameReader] = partial(open_reader, stream.source, self._arguments.give_up_after)
+        asked = self._settings[stream.name]
+        reader: Callable[[], FrameReader] = partial(open_reader, stream.source, asked.give_up_after)
         record = StreamRecord
-        if max_side is not None:
-            reader, record = partial(ShrinkingReader, reader, max_side), FullSizeRecord
-        rules = self.rules(stream.name)
+        if asked.max_side is not None:
+            reader, record = partial(ShrinkingReader, reader, asked.max_side), FullSizeRecord
         picture = None
         if self._live is not None:
-            picture = LivePicture(live_picture_path(self._live, stream.name), zones=rules.zones)
-        folder = self._folder.stream(stream.name)
+            picture = LivePicture(live_picture_path(self._live, stream.name), zones=asked.rules.zones)
         return StreamSpec(
             name=stream.name,
-            config=self._config,
+            config=asked.config,
             open_reader=reader,
             open_sink=partial(
                 record,
-                folder,
+                self._folder.stream(stream.name),
                 stream.name,
-                save,
+                asked.save,
                 picture,
                 live=stream.source.live,
                 source=stream.source,
-                rules=rules,
-                segment_seconds=self._arguments.segment if stream.source.live else None,
+                rules=asked.rules,
+                segment_seconds=asked.segment,
             ),
-            max_frames=self._arguments.max_frames,
-            wants_background=ends_group if "background" in save else None,
+            max_frames=asked.max_frames,
+            wants_background=ends_group if "background" in asked.save else None,
             source=str(stream.source),
             line=stream.line,
             live=stream.source.live,
             path=stream.source.path,
-            ignored=self._arguments.ignore.mask_of(stream.name),
+            ignored=None if asked.ignore is None else asked.ignore.mask,
         )

@@ -1,4 +1,4 @@
-"""Reads the list of streams again during the run (``--watch``)."""
+"""Reads the list of streams, or the file of cameras, again during the run (``--watch``)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, SourceError
 from orchestrator.run.file_watch import FileWatch
-from orchestrator.run.stream_list import ListedStream, parse_stream_list
+from orchestrator.run.identity import other_source
+from orchestrator.run.listed_stream import ListedStream, StreamsFile
+from orchestrator.run.stream_list import parse_stream_list
 from orchestrator.sources.presence import require_source
 
 __all__ = ["ListChange", "ListWatch"]
@@ -25,18 +27,23 @@ class ListChange:
         New names with a source, in the order of the list.
     removed : tuple of str
         Names that are gone.
+    changed : tuple of ListedStream
+        Names with another source, or with other settings.
+    text : str, optional
+        The new version of a file of cameras.
     """
 
     added: tuple[ListedStream, ...]
     removed: tuple[str, ...]
+    changed: tuple[ListedStream, ...]
+    text: str | None = None
 
 
 class ListWatch:
     """Finds the changes of a list of streams.
 
-    A line that cannot be used is reported and changes nothing, nor does any name end while there is such a
-    line: it may be a misspelled one. A name that has results stands for their source throughout the run; one
-    that is gone may come back with it.
+    What cannot be used is reported and changes nothing, nor does a name end while there is such a line, as it
+    may be a misspelled one; but for a name whose source is now listed under another one, which is renamed.
 
     Parameters
     ----------
@@ -62,7 +69,7 @@ class ListWatch:
         self._path = path
         self._report = report
         self._recorded = recorded
-        self._present = {stream.name: stream.source for stream in streams}
+        self._present = {stream.name: stream for stream in streams}
         self._file = FileWatch(path, clock)
 
     def look(self) -> ListChange | None:
@@ -71,31 +78,39 @@ class ListWatch:
 
     def _read(self) -> ListChange | None:
         try:
-            streams, faults = parse_stream_list(self._path)
+            parsed = parse_stream_list(self._path, StreamsFile(tuple(self._present.values()), {}))
         except ConfigError as error:
             self._report(f"{error} Nothing is changed.")
             return None
-        usable = [stream for stream in streams if self._is_usable(stream, faults)]
+        faults = dict(parsed.faults)
+        usable = [stream for stream in parsed.streams if self._is_usable(stream, faults)]
         for number, fault in sorted(faults.items()):
             self._report(f"{self._path}, line {number}: {fault}. The line is ignored until it is mended.")
-        listed = {stream.name for stream in streams}
-        removed = () if faults else tuple(name for name in self._present if name not in listed)
-        added = tuple(stream for stream in usable if stream.name not in self._present)
-        self._present |= {stream.name: stream.source for stream in added}
+        listed = {stream.name for stream in parsed.streams}
+        removed = [name for name in self._present if name not in listed]
+        if faults:
+            sources = {stream.source.location for stream in parsed.streams}
+            removed = [name for name in removed if self._present[name].source.location in sources]
+        added = [stream for stream in usable if stream.name not in self._present]
+        changed = [one for one in usable if one.name in self._present and not self._is_present(one)]
+        self._present |= {stream.name: stream for stream in usable}
         for name in removed:
             del self._present[name]
-        return ListChange(added, removed) if added or removed else None
+        if not (added or removed or changed):
+            return None
+        return ListChange(tuple(added), tuple(removed), tuple(changed), parsed.text)
+
+    def _is_present(self, stream: ListedStream) -> bool:
+        return stream.is_like(self._present[stream.name])
 
     def _is_usable(self, stream: ListedStream, faults: dict[int, str]) -> bool:
         """Whether a line can be used; else its fault is added."""
         assert stream.line is not None  # of the list
-        present, recorded = self._present.get(stream.name), self._recorded(stream.name)
-        if present == stream.source:
+        if stream.name in self._present and self._is_present(stream):
             return True
-        if present is not None or recorded not in (None, str(stream.source)):
-            faults[stream.line] = (
-                f"the name {stream.name!r} stands for another source in this run; choose another one"
-            )
+        recorded = self._recorded(stream.name)
+        if recorded is not None and (fault := other_source(stream, recorded)) is not None:
+            faults[stream.line] = fault
             return False
         try:
             require_source(stream.source)

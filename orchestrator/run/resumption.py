@@ -2,40 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from mlbs_actors.actors.stream.protocol import StreamSpec
+from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
+from orchestrator.credentials import MASK
+from orchestrator.options import recorded
+from orchestrator.run.cameras_file import parse_cameras
+from orchestrator.run.edited_files import newest_version
+from orchestrator.run.listed_stream import ListedStream, StreamsFile
 from orchestrator.run.run_folder import RunFolder
-from orchestrator.run.stream_list import ListedStream
+from orchestrator.run.stream_settings import words_of_changes
 from orchestrator.run.stream_state import ENDED, StreamState, after_failure, has_ended, with_record
 from orchestrator.sinks.record import has_snapshot, recorded_frames
+from orchestrator.sources.address import SourceAddress, parse_address
 
-__all__ = ["changed_sources", "ended_before", "gone_from_list", "words_on_resuming"]
+__all__ = [
+    "earlier_streams",
+    "ended_before",
+    "gone_from_list",
+    "is_known",
+    "with_new_names",
+    "words_on_resuming",
+]
 
 
-def changed_sources(streams: Sequence[ListedStream], recorded: Mapping[str, str]) -> dict[str, str]:
-    """Find streams whose names stand for other sources than in the record.
+def earlier_streams(folder: RunFolder, near: Path) -> StreamsFile:
+    """Return the streams as they were in force, of which addresses with passwords are not known any more.
 
     Parameters
     ----------
-    streams : sequence of ListedStream
-    recorded : mapping of str to str
-        Names of streams with a record → their sources.
-
-    Returns
-    -------
-    dict of str to str
-        Stream name → a sentence.
+    folder : RunFolder
+    near : Path
+        The file that named them.
     """
-    return {
-        stream.name: f"The name {stream.name!r} stands for {recorded[stream.name]} in this run; "
-        "choose another one."
-        for stream in streams
-        if recorded.get(stream.name, str(stream.source)) != str(stream.source)
-    }
+    known = {}
+    for name, source in folder.description().get("sources", {}).items():
+        with suppress(ConfigError):  # of an earlier version
+            known[name] = ListedStream(name, parse_address(source, near.parent), 1)
+    cameras = newest_version(folder.path, "cameras")
+    if cameras is not None:
+        with suppress(ConfigError):
+            parsed = parse_cameras(cameras, near.parent)
+            known |= {one.name: one for one in parsed.streams}
+    return StreamsFile(tuple(known.values()), {})
+
+
+def with_new_names(
+    folder: RunFolder,
+    begun: Mapping[str, Any],
+    streams: Sequence[ListedStream],
+    say: Callable[[str], None],
+) -> dict[str, Any]:
+    """Give records of streams that had another name the one of now; return the run's description with it.
+
+    That is done where there is a record of the name before and none of this one. OSError as the disk says.
+    """
+    sources = dict(begun.get("sources", {}))
+    for stream in streams:
+        if stream.was is None or stream.was not in sources:
+            continue
+        before, now = folder.stream(stream.was), folder.stream(stream.name)
+        if before.is_dir() and not now.exists():
+            before.rename(now)
+            say(f"{stream.was} is {stream.name} now, with all that was recorded of it.")
+            sources[stream.name] = sources.pop(stream.was)
+    return {**begun, "sources": sources}
+
+
+def is_known(source: SourceAddress) -> bool:
+    """Whether no part of an address is hidden."""
+    return MASK not in source.location
 
 
 def ended_before(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[str, StreamState]:
@@ -92,6 +134,10 @@ def words_on_resuming(begun: Mapping[str, Any], description: Mapping[str, Any], 
     words += f"; {count_of(ended, 'stream')} ended before." if ended else "."
     if begun.get("zones") != description["zones"]:
         words += "\nThe zones are others than then: events follow them from here on."
+    for key in (*recorded({}).keys() - {"zones"}, "config"):
+        if key in begun and begun[key] != description[key]:
+            changes = words_of_changes(begun[key], description[key])
+            words += f"\nOf cameras {key} is another one from here on: {changes}."
     for key in ("versions", "machine"):
         if begun.get(key) != description[key]:
             words += f"\nThe {key} are not those of then (see run.json): label maps from here on may differ."

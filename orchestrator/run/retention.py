@@ -1,17 +1,18 @@
 """``--keep``: deletes the oldest segments of cameras.
 
-Of all cameras together the oldest closed segment goes first, so each camera takes what it needs and all
-reach back about equally far. The lines of a segment leave its stream's commit log before its files are
-deleted; files without lines, of a deletion that was killed, are deleted by the next one.
+Of all cameras that share a limit the oldest closed segment goes first, so each camera takes what it needs and
+all reach back about equally far; a camera with a limit of its own stands for itself. The lines of a segment
+leave its stream's commit log before its files are deleted; files without lines, of a deletion that was
+killed, are deleted by the next one.
 """
 
 from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,18 @@ class _Closed:
     folder: Path
 
 
+@dataclass(slots=True)
+class _Used:
+    """What the cameras that share a limit take, and will take with their next snapshots, bytes."""
+
+    size: int = 0
+    to_come: int = 0
+    closed: list[_Closed] = field(default_factory=list)
+
+    def exceeds(self, keep: Keep) -> bool:
+        return keep.size is not None and self.size + self.to_come > (1 - _FREE) * keep.size
+
+
 class Retention:
     """Deletes the oldest segments of a run's cameras; an observer of the driver.
 
@@ -50,7 +63,8 @@ class Retention:
     ----------
     folder : Path
         Of the run.
-    keep : Keep
+    keeps : callable
+        Returns what is kept of each camera that has a limit of its own, and for None of all others together.
     say : callable
         Takes a sentence for the user.
     clock : callable
@@ -60,36 +74,40 @@ class Retention:
     def __init__(
         self,
         folder: Path,
-        keep: Keep,
+        keeps: Callable[[], Mapping[str | None, Keep]],
         say: Callable[[str], None],
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._folder = folder
-        self._keep = keep
+        self._keeps = keeps
         self._say = say
         self._clock = clock
         self._due = -float("inf")
         self._sizes: dict[Path, int] = {}  # of merged segments, bytes
-        self._size = self._to_come = 0
+        self._used: dict[str | None, _Used] = {}
         self._begins: dict[str, dict[str, Any]] = {}
-        self._too_much = False
+        self._too_much: set[str | None] = set()
 
     def update(self, states: Sequence[StreamState]) -> None:
         """Look at the folder, unless that took place a moment ago."""
         begun = time.monotonic()
-        if begun >= self._due:
+        if begun >= self._due and self._keeps():
             with suppress(OSError):  # a file was deleted under our feet, or the disk has gone
                 self.apply()
             ended = time.monotonic()
             self._due = ended + max(_LOOK_SECONDS, (ended - begun) / _SHARE_OF_TIME)
 
     @property
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> dict[str, Any] | None:
         """What is kept, and with what streams begin of which something was deleted, for ``status.json``."""
+        limits = self._keeps()
+        if not limits:
+            return None
+        shared = limits.get(None, Keep())
         return {
-            "seconds": self._keep.seconds,
-            "bytes": self._keep.size,
-            "bytes_in_use": self._size,
+            "seconds": shared.seconds,
+            "bytes": shared.size,
+            "bytes_in_use": sum(used.size for used in self._used.values()),
             "begins": self._begins,
         }
 
@@ -98,51 +116,55 @@ class Retention:
 
         What cannot be deleted now, as a commit is going on or the disk refuses it, is tried again.
         """
-        closed: list[_Closed] = []
-        self._size = self._to_come = 0
+        limits = self._keeps()
+        self._used = {owner: _Used() for owner in limits}
         for stream in sorted(path.parent for path in self._folder.glob("*/commits.jsonl")):
+            used = self._used.get(stream.name, self._used.get(None))
+            if used is None:
+                continue  # nothing limits it
             commits = read_commits(stream)
             segments = list(dict.fromkeys(one.segment for one in commits if one.segment is not None))
             if segments:
                 if commits[0].first:
                     self._begins[stream.name] = {"frame": commits[0].first, "segment": segments[0]}
                 _remove_remains(stream, segments)
-                closed += _closed_segments(stream, commits)
-                self._measure(stream, {one.segment for one in commits if one.merged})
-        for one in sorted(closed):
-            too_old = self._keep.seconds is not None and one.end <= self._clock() - self._keep.seconds
-            if too_old or self._exceeds():
+                used.closed += _closed_segments(stream, commits)
+                self._measure(stream, {one.segment for one in commits if one.merged}, used)
+        for owner, used in self._used.items():
+            self._limit(owner, used, limits[owner])
+
+    def _limit(self, owner: str | None, used: _Used, keep: Keep) -> None:
+        for one in sorted(used.closed):
+            too_old = keep.seconds is not None and one.end <= self._clock() - keep.seconds
+            if too_old or used.exceeds(keep):
                 size = self._sizes.pop(one.folder, None) or _size_of(one.folder)
                 try:
                     if forget_segment(one.folder.parent, one.folder.name):
                         shutil.rmtree(one.folder)
-                        self._size -= size
+                        used.size -= size
                 except (OSError, SinkError):
                     break
-        if self._exceeds() and not closed and not self._too_much:
-            self._too_much = True
+        if used.exceeds(keep) and not used.closed and owner not in self._too_much:
+            self._too_much.add(owner)
+            whose = "The cameras take" if owner is None else f"{owner} takes"
             self._say(
-                f"The cameras take {self._size / 1e6:,.0f} MB, their next snapshots may take "
-                f"{self._to_come / 1e6:,.0f} MB, and there is no closed segment to delete. That is more than "
+                f"{whose} {used.size / 1e6:,.0f} MB, the next snapshots may take "
+                f"{used.to_come / 1e6:,.0f} MB, and there is no closed segment to delete. That is more than "
                 "--keep allows: give it room for some segments of each camera, or --segment a shorter time."
             )
 
-    def _exceeds(self) -> bool:
-        size = self._size + self._to_come
-        return self._keep.size is not None and size > (1 - _FREE) * self._keep.size
-
-    def _measure(self, stream: Path, merged: set[str | None]) -> None:
+    def _measure(self, stream: Path, merged: set[str | None], used: _Used) -> None:
         """Add the bytes of a stream's folder; merged segments do not change, and are measured once."""
         for path in stream.iterdir():
             if path.name in merged:
                 if path not in self._sizes:
                     self._sizes[path] = _size_of(path)
-                self._size += self._sizes[path]
+                used.size += self._sizes[path]
                 continue
             size = _size_of(path)
-            self._size += size
+            used.size += size
             if path.name == SNAPSHOTS:
-                self._to_come += round(size * _SNAPSHOTS_TO_COME)
+                used.to_come += round(size * _SNAPSHOTS_TO_COME)
 
 
 def _closed_segments(stream: Path, commits: Sequence[Commit]) -> Iterator[_Closed]:

@@ -17,7 +17,7 @@ from mlbs_actors.actors.node.reservation import Share
 from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from mlbs_actors.config import Config
-from mlbs_actors.errors import ConfigError, SinkError
+from mlbs_actors.errors import SinkError
 from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.wording import count_of
 from orchestrator.credentials import mask
@@ -47,16 +47,22 @@ from orchestrator.run.admission import (
 from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer
 from orchestrator.run.expected_time import words_on_expected_time
+from orchestrator.run.identity import other_source
 from orchestrator.run.job import Job
+from orchestrator.run.listed_stream import ListedStream, StreamsFile
 from orchestrator.run.node_check import node_places
-from orchestrator.run.resumption import changed_sources, ended_before, gone_from_list, words_on_resuming
+from orchestrator.run.resumption import (
+    ended_before,
+    gone_from_list,
+    with_new_names,
+    words_on_resuming,
+)
 from orchestrator.run.retention import Retention
-from orchestrator.run.run_folder import CHANGING, RunFolder, StatusFile
-from orchestrator.run.stream_list import ListedStream, refuse_if_all
+from orchestrator.run.run_folder import RunFolder, StatusFile
+from orchestrator.run.stream_list import refuse_if_all
 from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
 from orchestrator.run.versions import installed_versions
 from orchestrator.run.whole_overlays import make_all_whole
-from orchestrator.run.zones_history import keep_zones
 from orchestrator.sinks.overlay import overlays, stream_remarks
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.sources.survey import SourceContent, surveying
@@ -74,7 +80,7 @@ _PLACES = "places (--places)"
 
 def run(
     arguments: Arguments,
-    streams: Sequence[ListedStream],
+    listed: StreamsFile,
     missing: Mapping[str, str],
     config: Config,
     scratch: Path,
@@ -86,8 +92,8 @@ def run(
     Parameters
     ----------
     arguments : Arguments
-    streams : sequence of ListedStream
-        Of the list, then of the arguments.
+    listed : StreamsFile
+        What the list says, with the streams of the arguments behind its own.
     missing : mapping of str to str
         Streams without a source → what is wrong; they fail, the others run.
     config : Config
@@ -106,42 +112,44 @@ def run(
     MlbsError
         If Ray cannot be started, or the run's own files cannot be written.
     """
-    folder = RunFolder(arguments.output.resolve())
-    begun = folder.description() if arguments.resume and folder.holds_run else None
-    recorded = {} if begun is None else folder.recorded_sources(begun)
-    faults = dict(missing)
-    ended: dict[str, StreamState] = {}
-    if arguments.watch:
-        faults |= changed_sources(streams, recorded)
-    faulty = [stream for stream in streams if stream.name in faults]
-    if not arguments.watch:
-        ended |= {stream.name: _without_source(stream, faults[stream.name]) for stream in faulty}
-    else:  # bad lines are ignored until they are corrected
-        streams = [stream for stream in streams if stream.name not in faults]
-        ended = gone_from_list(folder, recorded, streams, faults)
-    # On a cluster the pictures come from other machines, through the shared folder.
-    live = None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
-    job = Job(streams, arguments, config, folder, live, log.warn, recorded if arguments.watch else None)
-    memory = node_memory()
-    retention = None if arguments.keep is None else Retention(folder.path, arguments.keep, log.warn)
-    deliveries = Deliveries(arguments.events, folder.path, log.warn)
-    status = StatusFile(
-        folder.path / "status.json",
-        kept=None if retention is None else lambda: retention.figures,
-        backlogs=deliveries.backlogs,
-    )
+    folder, streams = RunFolder(arguments.output.resolve()), listed.streams
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
+        begun = None
+        if arguments.resume and folder.holds_run:
+            hold.enter_context(folder.locked())
+            begun = with_new_names(folder, folder.description(), streams, log.say)
+        recorded = {} if begun is None else folder.recorded_sources(begun)
+        faults = dict(missing)
+        ended: dict[str, StreamState] = {}
+        if arguments.watch:
+            others = {
+                one.name: other_source(one, recorded[one.name]) for one in streams if one.name in recorded
+            }
+            faults |= {name: f"{fault[0].upper()}{fault[1:]}." for name, fault in others.items() if fault}
+        faulty = [stream for stream in streams if stream.name in faults]
+        if not arguments.watch:
+            ended |= {stream.name: _without_source(stream, faults[stream.name]) for stream in faulty}
+        else:  # bad lines are ignored until they are corrected
+            streams = tuple(stream for stream in streams if stream.name not in faults)
+            ended = gone_from_list(folder, recorded, streams, faults)
+        # On a cluster the pictures come from other machines, through the shared folder.
+        live = (
+            None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
+        )
+        before = None if begun is None else begun | {"sources": recorded if arguments.watch else {}}
+        job = Job(streams, arguments, config, folder, live, log.warn, before)
+        memory = node_memory()
+        retention = Retention(folder.path, job.keeps, log.warn)
+        deliveries = Deliveries(arguments.events, folder.path, log.warn)
+        status = StatusFile(
+            folder.path / "status.json",
+            kept=lambda: retention.figures,
+            backlogs=deliveries.backlogs,
+        )
         if begun is not None:
             folder.refuse_other(begun, job.description)
-            hold.enter_context(folder.locked())
             earlier = ended_before(folder, job.specs)
             log.say(words_on_resuming(begun, job.description, len(earlier)))
-            job.description = begun | {key: job.description[key] for key in CHANGING}
-            if job.description != begun:
-                try:
-                    folder.redescribe(job.description)
-                except OSError as error:
-                    raise ConfigError(f"Cannot write to {folder.path}: {error.strerror}.") from None
             ended |= earlier
         else:
             folder.refuse_if_used([stream.name for stream in streams])
@@ -170,16 +178,11 @@ def run(
             onlookers.append(RayMetrics(deliveries.backlogs))
             if arguments.address is None:
                 log.say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
-        if retention is not None:
-            onlookers.append(retention)
+        onlookers.append(retention)
         if begun is None:
             folder.create(job.description)
             hold.enter_context(folder.locked())
-        if arguments.zones.text is not None:
-            try:
-                keep_zones(folder.path, arguments.zones.text)
-            except OSError as error:
-                raise ConfigError(f"Cannot write to {folder.path}: {error.strerror}.") from None
+        job.keep_description(listed.text)
         session.enter_context(deliveries)
         if at_work:
             lengths = {name: one.length for name, one in survey.finish().items() if one.length is not None}

@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -19,66 +19,32 @@ from filelock import FileLock, Timeout
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
+from orchestrator.command_options import flag_of
 from orchestrator.credentials import mask
 from orchestrator.events.delivery import Backlog
-from orchestrator.run.stream_list import ListedStream
+from orchestrator.options import Effect, options
+from orchestrator.run.identity import goes_on, is_camera
+from orchestrator.run.listed_stream import ListedStream
+from orchestrator.run.stream_settings import words_of_changes
 from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.run.versions import installed_versions
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.storage.durable_files import replace_file
 
-__all__ = ["CHANGING", "RunFolder", "RunSettings", "StatusFile", "describe_run", "read_description"]
+__all__ = ["RunFolder", "StatusFile", "describe_run", "read_description"]
 
-#: Keys of ``run.json`` that must not change when a run is resumed.
-_SAME = {
-    "config": "parameters",
-    "sources": "streams",
-    "save": "parts to --save",
-    "max_frames": "--max-frames",
-    "max_side": "--max-side",
-    "ignored": "files to --ignore",
-    "segment": "--segment",
+#: Keys of ``run.json`` that must not change while there is a file that has not come to its end.
+_SAME = {"config": "parameters"} | {
+    name: flag_of(name)
+    for name, option in options()
+    if option.record is not None and option.effect is not Effect.AT_ONCE
 }
 
-#: Keys that may change when it is, or meanwhile.
-CHANGING = ("sources", "hashes", "keep", "zones", "command")
-
-#: Most differences of parameters that the message about a resumed run lists.
-_MOST_CHANGES = 3
+#: Keys that stay as they were when a run was begun.
+_LASTING = ("started", "versions", "machine")
 
 #: Least time between two writings of ``status.json``, s.
 _STATUS_SECONDS = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class RunSettings:
-    """What is asked of a run besides its streams and parameters.
-
-    Attributes
-    ----------
-    save : frozenset of str
-        Parts of the record.
-    max_frames : int, optional
-        Label maps to make of each stream.
-    max_side : int, optional
-        Longest side of the pictures that are processed, px.
-    ignored : mapping of str to str
-        Digests of the files to ignore.
-    zones : str, optional
-        Digest of the file of zones.
-    segment : int, optional
-        Length of the segments of cameras, s.
-    keep : sequence of str
-        Limits of what is kept of cameras.
-    """
-
-    save: frozenset[str]
-    max_frames: int | None = None
-    max_side: int | None = None
-    ignored: Mapping[str, str] = field(default_factory=dict)
-    zones: str | None = None
-    segment: int | None = None
-    keep: Sequence[str] = ()
 
 
 def read_description(run: Path) -> dict[str, Any] | None:
@@ -154,23 +120,23 @@ class RunFolder:
         """Check that the run that has begun in this folder is the one described now.
 
         A stream without a record may have another source now, or be new or gone, so that wrong lines can be
-        corrected.
+        corrected. A camera may be at another address, and goes on with other settings.
 
         Raises
         ------
         ConfigError
             If it is one of something else.
         """
+        advice = "give the same ones as then (see its run.json), or another folder with --output."
+        recorded, sources = self.recorded_sources(begun), description["sources"]
+        if not all(name in sources and goes_on(source, sources[name]) for name, source in recorded.items()):
+            raise ConfigError(f"The run in {self.path} had other streams; {advice}")
+        if all(is_camera(source) for source in recorded.values()):
+            return
         for key, meaning in _SAME.items():
-            if begun.get(key) == description[key]:
-                continue
-            recorded = self.recorded_sources(begun) if key == "sources" else {}
-            if key != "sources" or not recorded.items() <= description[key].items():
-                changes = "" if key == "sources" else f" ({_changes(begun.get(key), description[key])})"
-                raise ConfigError(
-                    f"The run in {self.path} had other {meaning}{changes}; give the same ones as then (see "
-                    "its run.json), or another folder with --output."
-                )
+            if begun.get(key) != description[key]:
+                changes = words_of_changes(begun.get(key), description[key])
+                raise ConfigError(f"The run in {self.path} had other {meaning} ({changes}); {advice}")
 
     def states(self) -> dict[str, StreamState]:
         """Read the streams of ``status.json``; none if it cannot be read."""
@@ -245,7 +211,7 @@ class StatusFile:
     clock : callable
         Monotonic time, s.
     kept : callable, optional
-        Returns what :class:`orchestrator.run.retention.Retention` has done.
+        Returns what :class:`orchestrator.run.retention.Retention` has done; None if all is kept.
     backlogs : callable, optional
         Returns what the targets of events have not acknowledged.
     """
@@ -254,7 +220,7 @@ class StatusFile:
         self,
         path: Path,
         clock: Callable[[], float] = time.monotonic,
-        kept: Callable[[], Mapping[str, Any]] | None = None,
+        kept: Callable[[], Mapping[str, Any] | None] = lambda: None,
         backlogs: Callable[[], Sequence[Backlog]] = list,
     ) -> None:
         self._path = path
@@ -292,63 +258,49 @@ class StatusFile:
             "exit_status": exit_status,
             "waiting": sum(state.state == "waiting" for state in states),
             "running": sum(state.state != "waiting" and state.state not in ENDED for state in states),
-            "kept": None if self._kept is None else self._kept(),
+            "kept": self._kept(),
             "events": [backlog.figures() for backlog in self._backlogs()],
             "streams": streams,
         }
         replace_file(self._path, (json.dumps(status, indent=1) + "\n").encode())
 
 
-def _changes(before: Any, now: Any) -> str:
-    """Describe how a part of a run's description has changed."""
-    changes = list(_differences(before, now))
-    more = len(changes) - _MOST_CHANGES
-    return "; ".join(changes[:_MOST_CHANGES]) + (f"; and {more} more" if more > 0 else "")
-
-
-def _differences(before: Any, now: Any, name: str = "") -> Iterator[str]:
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in sorted(before.keys() | now.keys()):
-            yield from _differences(before.get(key), now.get(key), f"{name}.{key}" if name else key)
-    elif before != now:
-        yield f"{name} was {_given(before)}, now {_given(now)}".lstrip()
-
-
-def _given(value: Any) -> str:
-    if value is None:
-        return "not given"
-    return ", ".join(value) if isinstance(value, (list, dict)) else str(value)
-
-
 def describe_run(
     streams: Sequence[ListedStream],
     config: Config,
-    settings: RunSettings,
+    asked: Mapping[str, object],
     command: Sequence[str] = (),
-    recorded: Mapping[str, str] | None = None,
+    before: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the content of ``run.json``: everything that the results depend on, without credentials.
 
-    ``command`` starts the same run; ``recorded`` are the sources of streams that were recorded before.
+    Parameters
+    ----------
+    streams : sequence of ListedStream
+    config : Config
+    asked : mapping of str to object
+        The options of the command, from :func:`orchestrator.options.recorded`.
+    command : sequence of str
+        Starts the same run.
+    before : mapping, optional
+        The content before, whose sources stay, as those of streams that are not listed any more are needed to
+        export their results; and with it what is said of the run's beginning.
     """
     parameters = config.model_dump(mode="json")
-    sources = {**(recorded or {}), **{stream.name: str(stream.source) for stream in streams}}
-    return {
+    earlier = {} if before is None else dict(before)
+    sources = {**earlier.get("sources", {}), **{stream.name: str(stream.source) for stream in streams}}
+    description = {
         "started": _now(),
         "config": parameters,
         "sources": sources,
-        "save": sorted(settings.save),
-        "max_frames": settings.max_frames,
-        "max_side": settings.max_side,
-        "ignored": settings.ignored or None,
-        "zones": settings.zones,
-        "segment": settings.segment,
-        "keep": list(settings.keep),
+        "settings": earlier.get("settings", {}),
+        **asked,
         "command": [mask(word) for word in command],
         "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
         "versions": installed_versions(),
         "machine": {"cpu": _cpu(), "system": platform.platform()},
     }
+    return description | {key: earlier[key] for key in _LASTING if key in earlier}
 
 
 def _state(name: str, figures: dict[str, Any]) -> StreamState:

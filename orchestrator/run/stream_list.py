@@ -12,22 +12,20 @@ from __future__ import annotations
 import shlex
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.wording import count_of
 from orchestrator.credentials import mask
 from orchestrator.program import command_line_of
+from orchestrator.run.cameras_file import parse_cameras
+from orchestrator.run.listed_stream import ListedStream, StreamsFile, check_name
 from orchestrator.sources.address import SourceAddress, parse_address
 from orchestrator.sources.presence import is_source, parts_of, require_source
 
 __all__ = [
     "MAX_BYTES",
-    "MAX_NAME_BYTES",
     "MAX_STREAMS",
-    "RESERVED_NAMES",
-    "ListedStream",
     "missing_sources",
     "parse_stream_list",
     "read_stream_list",
@@ -37,32 +35,14 @@ __all__ = [
 MAX_BYTES = 8 * 2**20
 MAX_STREAMS = 10_000
 
-MAX_NAME_BYTES = 100
-RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html", "ray.log"})
 _LINES_SHOWN = 20
+#: Ends of the names of files of cameras.
+_YAML = (".yaml", ".yml")
 #: Magic bytes of JPEG, PNG, AVI and WebP, Matroska and MPEG: the user gave the video instead of a list.
 _MEDIA_BEGINNINGS = (b"\xff\xd8\xff", b"\x89PNG", b"RIFF", b"\x1aE\xdf\xa3", b"\x00\x00\x01")
 
 
-@dataclass(frozen=True, slots=True)
-class ListedStream:
-    """One stream of the list or of the command line.
-
-    Attributes
-    ----------
-    name : str
-        Unique in the run, and a plain file name.
-    source : SourceAddress
-    line : int, optional
-        Line number in the list, from 1; None if it is not from a list.
-    """
-
-    name: str
-    source: SourceAddress
-    line: int | None
-
-
-def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
+def read_stream_list(path: Path) -> StreamsFile:
     """Read and check a list of streams.
 
     Parameters
@@ -72,8 +52,8 @@ def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
 
     Returns
     -------
-    tuple of ListedStream
-        In the order of the list, at least one.
+    StreamsFile
+        At least one stream, and no fault.
 
     Raises
     ------
@@ -81,32 +61,38 @@ def read_stream_list(path: Path) -> tuple[ListedStream, ...]:
         If the file cannot be read, is too long, holds no stream, or has bad lines: then the message names
         every one of them, and those whose source is missing.
     """
-    streams, faults = parse_stream_list(path)
-    if faults:
-        report = _fault_report(path, faults)
+    parsed = parse_stream_list(path)
+    if parsed.faults:
+        report = _fault_report(path, parsed.faults)
         # A missing source is no fault of the list; but the message should name both.
-        sourceless = _sourceless(streams)
+        sourceless = _sourceless(parsed.streams)
         if missing := {one.line: sentence.rstrip(".") for one, sentence in sourceless if one.line}:
             report += "\nOf the other lines, these could not run:\n" + _listing(missing)
         raise ConfigError(report)
-    return streams
+    return parsed
 
 
-def parse_stream_list(path: Path) -> tuple[tuple[ListedStream, ...], dict[int, str]]:
-    """Read the usable lines of a list of streams.
+def parse_stream_list(path: Path, before: StreamsFile | None = None) -> StreamsFile:
+    """Read what can be used of a list of streams, or of a file of cameras, whose name ends in ``.yaml``.
 
-    Returns
-    -------
-    streams : tuple of ListedStream
-        Of the good lines.
-    faults : dict of int to str
-        Number of each bad line → what is wrong with it, without credentials.
+    Parameters
+    ----------
+    path : Path
+    before : StreamsFile, optional
+        An earlier version, for what cannot be used now of a file of cameras.
 
     Raises
     ------
     ConfigError
         If the file cannot be read, is too long, or holds neither streams nor bad lines.
     """
+    parsed = parse_cameras(path, path.parent, before) if path.suffix in _YAML else _parse_lines(path)
+    if len(parsed.streams) > MAX_STREAMS:
+        raise ConfigError(f"The list {path} holds more than {MAX_STREAMS} streams; split it.")
+    return parsed
+
+
+def _parse_lines(path: Path) -> StreamsFile:
     streams: list[ListedStream] = []
     first_line: dict[str, int] = {}
     faults: dict[int, str] = {}
@@ -128,9 +114,7 @@ def parse_stream_list(path: Path) -> tuple[tuple[ListedStream, ...], dict[int, s
             faults[number] = mask(str(error)).rstrip(".")
     if not streams and not faults:
         raise ConfigError(f"The list {path} holds no stream; write one a line, as NAME SOURCE.")
-    if len(streams) > MAX_STREAMS:
-        raise ConfigError(f"The list {path} holds more than {MAX_STREAMS} streams; split it.")
-    return tuple(streams), faults
+    return StreamsFile(tuple(streams), faults)
 
 
 def missing_sources(path: Path | None, streams: Sequence[ListedStream]) -> dict[str, str]:
@@ -241,7 +225,7 @@ def _refuse_unquoted(text: str, words: Sequence[str], folder: Path) -> None:
 
 
 def _named(name: str, source: SourceAddress, number: int, *, is_given: bool) -> ListedStream:
-    _check_name(name, given=is_given)
+    check_name(name, given=is_given)
     return ListedStream(name, source, number)
 
 
@@ -267,16 +251,6 @@ def _without_comment(text: str) -> str:
             return text[:position]
         position += 1
     return text
-
-
-def _check_name(name: str, *, given: bool) -> None:
-    advice = "choose another name" if given else "give it a name by writing NAME SOURCE"
-    if not name or "/" in name or "\\" in name or name.startswith((".", "-")) or "***" in name:
-        raise ConfigError(f"{name!r} cannot be the name of a stream's folder; {advice}")
-    if len(name.encode()) > MAX_NAME_BYTES:
-        raise ConfigError(f"the name is longer than {MAX_NAME_BYTES} bytes; {advice}")
-    if name.lower() in RESERVED_NAMES:
-        raise ConfigError(f"{name!r} is the name of a file of the run; {advice}")
 
 
 def _fault_report(path: Path, faults: dict[int, str]) -> str:

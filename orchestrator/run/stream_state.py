@@ -15,6 +15,7 @@ __all__ = [
     "ENDED",
     "StateName",
     "StreamState",
+    "after_change",
     "after_end",
     "after_failure",
     "after_interruption",
@@ -205,6 +206,13 @@ def after_loss(state: StreamState, error: str) -> StreamState:
         returns=state.returns + 1,
         cores=state.cores,
         waits_for="new processes and its last snapshot",
+    )
+
+
+def after_change(state: StreamState) -> StreamState:
+    """Return the state of a stream that goes on with other processes, as its settings have changed."""
+    return replace(
+        _ended(state), state="starting", cores=state.cores, waits_for="new processes, for its other settings"
     )
 
 

@@ -35,7 +35,7 @@ def make_all_whole(
         wanted = is_in_parts(stream) or (spec.name in due and is_lost(stream))
         if not spec.live and spec.name in ended and wanted:
             try:
-                make_whole(stream, spec.source, say, job.rules(spec.name).zones)
+                make_whole(stream, spec.source, say, job.settings(spec.name).rules.zones)
             except KeyboardInterrupt:
                 say("The overlay stays as it is; to try again, give the same command with --resume.")
                 return

@@ -148,6 +148,9 @@ class _Coordinator:
         self.state.held += ((frame_index, frame),)
         return [] if frame_index + 1 < self._hold else self.flush()
 
+    def begin_anew(self) -> list[FrameEvidence]:
+        return self.flush()
+
     def flush(self) -> list[FrameEvidence]:
         held, self.state.held = self.state.held, ()
         return [self._evidence(*frame) for frame in held]

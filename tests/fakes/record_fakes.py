@@ -10,8 +10,9 @@ import numpy as np
 from mlbs_actors.config import Config
 from mlbs_actors.messages import LayerSummary, Region, Segmentation
 from mlbs_actors.source import SourceFrame
-from orchestrator.run.run_folder import RunFolder, RunSettings, StatusFile, describe_run
-from orchestrator.run.stream_list import ListedStream
+from orchestrator.options import recorded
+from orchestrator.run.listed_stream import ListedStream
+from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address
@@ -78,5 +79,5 @@ def write_run(folder: Path, states: Sequence[StreamState]) -> None:
         ListedStream(state.name, parse_address("rtsp://bob:hunter2@cam/x", folder), 1) for state in states
     ]
     command = ["python", "-m", "orchestrator", "--streams", "/a b/list.txt"]
-    RunFolder(folder).create(describe_run(streams, Config(), RunSettings(EVERYTHING), command))
+    RunFolder(folder).create(describe_run(streams, Config(), recorded({"save": EVERYTHING}), command))
     StatusFile(folder / "status.json").finish(states, 1)

@@ -32,7 +32,7 @@ class Camera:
         save: frozenset[str] = SAVE,
         *,
         rate: float = 10.0,
-        seconds: int = SECONDS,
+        seconds: int | None = SECONDS,
         began: float = BEGAN,
         rules: EventRules | None = None,
     ) -> None:

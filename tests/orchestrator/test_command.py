@@ -35,9 +35,10 @@ from orchestrator.__main__ import main
 from orchestrator.command_line import command_again, parse
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.option_values import SAVED
+from orchestrator.options import recorded
 from orchestrator.ray_session import ray_settings
 from orchestrator.run.argument_streams import DEMO
-from orchestrator.run.run_folder import RunFolder, RunSettings, StatusFile, describe_run
+from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sources.synthetic import scene
@@ -372,9 +373,9 @@ def test_a_run_that_is_at_its_end_is_gone_on_with_without_ray(tmp_path: Path) ->
     (tmp_path / "street.mp4").write_bytes(b"read before")
     arguments = parse([str(word) for word in given])
     assert arguments.streams is not None
-    streams, config = read_stream_list(arguments.streams), Config()
+    streams, config = read_stream_list(arguments.streams).streams, Config()
     folder = RunFolder(tmp_path / "out")
-    folder.create(describe_run(streams, config, RunSettings(arguments.save)))
+    folder.create(describe_run(streams, config, recorded({"save": arguments.save})))
     StatusFile(folder.path / "status.json").finish([StreamState("street", "done", read=9, committed=9)], 0)
     ended = run_whole(*given, "--resume")
     assert ended.returncode == 0, ended.stderr

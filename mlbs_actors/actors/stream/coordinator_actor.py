@@ -201,6 +201,9 @@ class CoordinatorActor:
         if opening.resume_from is not None:
             self._restore(opening.resume_from.folder)
         self._labelling.begin()
+        if self._snapshots.is_of_other_parameters:
+            for evidence in self._coordinator.begin_anew():
+                self._label(evidence)
         self._begin_reading()
         self._snapshots.begin(opening.snapshots)
         self._begun = True

@@ -69,12 +69,15 @@ class ConductorState:
     waiting : tuple of SourceFrame
         Read and not yet labelled, in source order.
     layers : tuple of SavedLayer
+    config : str
+        All parameters, as JSON.
     """
 
     counts: Mapping[SourceStatus, int]
     position: SourcePosition
     waiting: tuple[SourceFrame, ...]
     layers: tuple[SavedLayer, ...]
+    config: str
 
 
 @dataclass(frozen=True, slots=True)

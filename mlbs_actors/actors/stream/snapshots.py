@@ -62,6 +62,7 @@ class StreamSnapshots:
         self._next = sys.maxsize
         self._earliest = 0.0  # the first one depends on its rows only
         self._writer = StateWriter()
+        self._restored: str | None = None  # the parameters of the snapshot
 
     def restore(self, folder: Path) -> tuple[tuple[SourceFrame, ...], dict[int, Shared[Segmentation]]]:
         """Take all parts back to a snapshot, before :meth:`begin`.
@@ -83,7 +84,13 @@ class StreamSnapshots:
         self._layers.restore(state.layers)
         self._account.restore(state.counts, state.position)
         self._saved = state.position.rows
+        self._restored = state.config
         return state.waiting, self._labelling.restore(folder, state.layers)
+
+    @property
+    def is_of_other_parameters(self) -> bool:
+        """Whether the snapshot was made with other parameters than those of now."""
+        return self._restored not in (None, self._spec.config.model_dump_json())
 
     def begin(self, folder: Path | None) -> None:
         """Have snapshots written into a folder from now on; None for none."""
@@ -118,7 +125,8 @@ class StreamSnapshots:
         folder = self._folder / f"{self._account.position.rows:08d}"
         self._labelling.save(folder)
         layers = self._layers.state()
-        own = ConductorState(self._account.counts, self._account.position, waiting, layers)
+        config = self._spec.config.model_dump_json()
+        own = ConductorState(self._account.counts, self._account.position, waiting, layers, config)
         self._writer.write({CONDUCTOR_FILE: own, COORDINATOR_FILE: self._part.state}, folder)
         shared = (CONDUCTOR_FILE, COORDINATOR_FILE, SEGMENTER_FILE, PUBLISHED_FILE)
         parts = (*shared, *(layer_file(one.layer) for one in layers))

@@ -92,6 +92,10 @@ class _EmptyCoordinator:
         tracks = tuple(one._replace(last_frame=frame_index - 1) for one in self.evidence.tracks)
         return [replace(self.evidence, frame_index=frame_index, tracks=tracks, retired=())]
 
+    def begin_anew(self) -> list[FrameEvidence]:
+        """Never asked for."""
+        return self.flush()
+
     def flush(self) -> list[FrameEvidence]:
         return []
 

@@ -53,9 +53,9 @@ def test_shares_and_pixels_and_least_sizes_are_read(tmp_path: Path) -> None:
         (("[0, 1]]", "[0, 1.0, 2]]"), r"line 8: streams\.gate\.zones\.0\.polygon\.3"),
         (
             ("seconds: 0.5", "seconds: -1"),
-            r"line 5: streams\.gate\.minimum\.seconds: .*greater than or equal",
+            r"line 4: streams\.gate\.minimum\.seconds: .*greater than or equal",
         ),
-        (("name: fence", "name: yard"), r"line 5: streams\.gate: two zones are named 'yard'"),
+        (("name: fence", "name: yard"), r"line 4: streams\.gate: two zones are named 'yard'"),
         (("door:", "gate:"), r"line 10: 'gate' stands there twice"),
         (("[10, 20]", "[10, 20"), r"line 9: "),
         ((GOOD, ""), r"is empty"),

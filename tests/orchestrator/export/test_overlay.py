@@ -14,8 +14,9 @@ from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
 from mlbs_actors.source import SourceFrame
 from orchestrator.export.__main__ import main
-from orchestrator.run.run_folder import RunFolder, RunSettings, describe_run
-from orchestrator.run.stream_list import ListedStream
+from orchestrator.options import recorded
+from orchestrator.run.listed_stream import ListedStream
+from orchestrator.run.run_folder import RunFolder, describe_run
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address
@@ -38,7 +39,7 @@ def record(run: Path, sources: dict[str, str]) -> None:
             written.write(segmentation(frame.index, 3, 5), frame)
         written.close(whole=True)
         streams.append(ListedStream(name, parse_address(uri, run), line))
-    RunFolder(run).create(describe_run(streams, Config(), RunSettings(SAVED)))
+    RunFolder(run).create(describe_run(streams, Config(), recorded({"save": SAVED})))
 
 
 def pictures(path: Path) -> tuple[list[float | None], Array]:

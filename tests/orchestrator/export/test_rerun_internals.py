@@ -18,8 +18,9 @@ from mlbs_actors.source import SourceFrame
 from orchestrator.export.__main__ import main
 from orchestrator.export.recorded_stream import RecordedFrame
 from orchestrator.export.replay import InspectedFrame
-from orchestrator.run.run_folder import RunFolder, RunSettings, describe_run
-from orchestrator.run.stream_list import ListedStream
+from orchestrator.options import recorded
+from orchestrator.run.listed_stream import ListedStream
+from orchestrator.run.run_folder import RunFolder, describe_run
 from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address
@@ -54,7 +55,7 @@ def write_run(folder: Path, sources: dict[str, str], max_side: int | None = None
         ListedStream(name, parse_address(source, folder), line)
         for line, (name, source) in enumerate(sources.items(), start=1)
     ]
-    RunFolder(folder).create(describe_run(streams, Config(), RunSettings(SAVED, max_side=max_side)))
+    RunFolder(folder).create(describe_run(streams, Config(), recorded({"save": SAVED, "max_side": max_side})))
     return seen
 
 

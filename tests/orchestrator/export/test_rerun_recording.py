@@ -16,8 +16,9 @@ from record_fakes import HEIGHT, WIDTH, write_stream
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
 from orchestrator.export.__main__ import main
-from orchestrator.run.run_folder import RunFolder, RunSettings, describe_run
-from orchestrator.run.stream_list import ListedStream
+from orchestrator.options import recorded
+from orchestrator.run.listed_stream import ListedStream
+from orchestrator.run.run_folder import RunFolder, describe_run
 from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.synthetic import scene
@@ -42,7 +43,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ListedStream(name, parse_address(source, folder), line)
         for line, (name, source) in enumerate(SOURCES.items(), start=1)
     ]
-    RunFolder(folder).create(describe_run(streams, Config(), RunSettings(SAVED)))
+    RunFolder(folder).create(describe_run(streams, Config(), recorded({"save": SAVED})))
     return folder
 
 

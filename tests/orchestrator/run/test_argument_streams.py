@@ -9,7 +9,8 @@ import pytest
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.run.argument_streams import DEMO, argument_streams
-from orchestrator.run.stream_list import MAX_NAME_BYTES, missing_sources, read_stream_list
+from orchestrator.run.listed_stream import MAX_NAME_BYTES
+from orchestrator.run.stream_list import missing_sources, read_stream_list
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
@@ -82,13 +83,13 @@ def test_a_name_is_made_one_that_a_list_would_accept(folder: Path, word: str, na
     assert stream.name == name
     assert "hunter2" not in f"{stream!r} {stream.source}"
     (folder / "list.txt").write_text(f"'{stream.name}' a.mp4\n")
-    assert [listed.name for listed in read_stream_list(folder / "list.txt")] == [name]
+    assert [listed.name for listed in read_stream_list(folder / "list.txt").streams] == [name]
 
 
 def test_demo_is_the_built_in_scene_of_the_demo_list_unless_there_is_such_a_file(folder: Path) -> None:
     assert named("demo") == [("street", DEMO)]
     assert [
-        (one.name, str(one.source)) for one in read_stream_list(REPOSITORY / "configs/streams.txt")
+        (one.name, str(one.source)) for one in read_stream_list(REPOSITORY / "configs/streams.txt").streams
     ] == named("demo")
     touch("demo")
     assert named("demo") == [("demo", str(folder / "demo"))]

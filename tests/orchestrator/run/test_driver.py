@@ -797,3 +797,90 @@ def test_a_stream_that_goes_back_when_no_node_is_left_waits_and_goes_on_from_its
     assert driver.run() == 0
     assert host.before == [None, first]
     assert recorder.history["only"][-4:] == ["waiting", "starting", "running", "done"]
+
+
+@pytest.mark.parametrize("same_source", [True, False])
+def test_a_stream_goes_on_with_other_processes_when_its_settings_ask_for_them(same_source: bool) -> None:
+    first, second, interruption, recorder = FakeStream(10**9), FakeStream(10**9), Interruption(), Recorder()
+    started: list[tuple[StreamSpec, RunningStream | None]] = []
+    kept: list[bool] = []
+
+    class Host(Again):
+        def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+            started.append((spec, before))
+            return super().start(spec, before)
+
+    class First(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            kept.append(returns)
+            return super().stop(drain=drain, returns=returns)
+
+    first = First(10**9)
+    other = replace(spec("camera"), source="other", live=True)
+    left = [SpecChange(restarted=((other, same_source),))]
+
+    def changes() -> SpecChange | None:
+        if second.read >= 20:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and first.read >= 20 else None
+
+    driver = Driver(
+        [replace(spec("camera"), live=True)],
+        Host({"camera": [first, second]}),
+        admission=by_count(1),
+        observers=[recorder],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert first.stops == second.stops == [True]  # what was read is labelled and kept
+    assert kept == [same_source]
+    assert [one.source for one, _ in started] == ["the source", "other"]
+    assert started[1][1] is (first if same_source else None)
+    assert "failed" not in recorder.history["camera"]
+
+
+def test_a_camera_that_was_given_up_is_tried_again_where_it_is_now() -> None:
+    gone, there, interruption = FakeStream(0), FakeStream(10**9), Interruption()
+    left = [SpecChange(restarted=((replace(spec("camera"), source="other", live=True), False),))]
+
+    def changes() -> SpecChange | None:
+        if there.read >= 20:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and gone.stops else None
+
+    host = Again({"camera": [gone, there]})
+    driver = Driver(
+        [replace(spec("camera"), live=True)],
+        host,
+        admission=by_count(1),
+        observers=[],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert host.started == ["camera", "camera"]
+
+
+def test_a_renamed_stream_begins_once_the_one_before_has_ended() -> None:
+    first, second, interruption = FakeStream(10**9), FakeStream(10**9), Interruption()
+    told: list[list[bool]] = []
+    renamed = {"road": ("lane", lambda: told.append(list(first.stops)))}
+    left = [SpecChange(added=(spec("road"),), removed=("lane",), renamed=renamed)]
+
+    def changes() -> SpecChange | None:
+        if second.read >= 20:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and first.read >= 20 else None
+
+    driver = Driver(
+        [spec("lane")],
+        FakeHost({"lane": first, "road": second}),
+        admission=by_count(2),
+        observers=[],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert told == [[True]]
+    assert [state.name for state in driver.states] == ["road"]

@@ -10,10 +10,10 @@ from mlbs_actors.config import Config
 from orchestrator.command_line import parse
 from orchestrator.events.zones import EventRules
 from orchestrator.run import file_watch
+from orchestrator.run.edited_files import newest_version
 from orchestrator.run.job import Job
 from orchestrator.run.run_folder import RunFolder, read_description
 from orchestrator.run.stream_list import read_stream_list
-from orchestrator.run.zones_history import newest_zones
 
 ZONES = """streams:
   a: {zones: [{name: yard, polygon: [[0, 0], [1, 0], [1, 1]]}]}
@@ -30,7 +30,8 @@ def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed
     listed.write_text("a synthetic:demo\nb synthetic:demo\n")
     words = ["--streams", str(listed), "--zones", str(file), "--output", str(output), "--watch"]
     said: list[str] = []
-    job = Job(read_stream_list(listed), parse(words), Config(), RunFolder(output), None, said.append, {})
+    streams = read_stream_list(listed).streams
+    job = Job(streams, parse(words), Config(), RunFolder(output), None, said.append)
     output.mkdir()
     assert [job.changes() for _ in range(3)] == [None] * 3
 
@@ -47,8 +48,8 @@ def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed
     assert isinstance(rules, EventRules)
     assert (spec.name, rules.zones[0].name) == ("a", "drive")
     assert spec.open_sink.keywords["rules"] == rules
-    assert said == ["Other zones, from now on: a."]
-    newest, description = newest_zones(output), read_description(output)
+    assert said == ["From now on for a: other zones or rules."]
+    newest, description = newest_version(output, "zones"), read_description(output)
     assert newest is not None
     assert newest.read_text() == file.read_text()
     assert description is not None
@@ -62,5 +63,5 @@ def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed
     edited(ZONES.replace("a:", "aa:"))
     assert said[-2:] == [
         "--zones names aa, not streams of this run at present.",
-        "Other zones, from now on: a.",
+        "From now on for a: other zones or rules.",
     ]

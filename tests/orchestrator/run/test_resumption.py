@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orchestrator.run.resumption import changed_sources, gone_from_list
+from orchestrator.run.identity import other_source
+from orchestrator.run.listed_stream import ListedStream
+from orchestrator.run.resumption import gone_from_list
 from orchestrator.run.run_folder import RunFolder, StatusFile
-from orchestrator.run.stream_list import ListedStream
 from orchestrator.run.stream_state import StreamState, has_ended
 from orchestrator.sources.address import parse_address
 from orchestrator.storage.commit_log import CommitLog
@@ -19,15 +20,16 @@ def listed(name: str, uri: str) -> ListedStream:
 RECORDED = {"door": "rtsp://***@cam/door", "yard": "/yard.mp4", "gate": "/gate.mp4", "lane": "/lane.mp4"}
 
 
-def test_a_name_keeps_its_source_whatever_the_password() -> None:
+def test_a_file_is_its_path_and_a_camera_its_name() -> None:
     streams = [
-        listed("door", "rtsp://bob:new@cam/door"),
+        listed("door", "rtsp://bob:new@other/lane"),
         listed("yard", "other.mp4"),
         listed("new", "new.mp4"),
     ]
-    assert changed_sources(streams, RECORDED) == {
-        "yard": "The name 'yard' stands for /yard.mp4 in this run; choose another one."
-    }
+    faults = {one.name: other_source(one, RECORDED[one.name]) for one in streams if one.name in RECORDED}
+    assert faults.keys() == {"door", "yard"}
+    assert faults["door"] is None
+    assert "'yard' stands for /yard.mp4 in this run" in str(faults["yard"])
 
 
 def test_streams_that_the_list_does_not_name_any_more_have_ended_and_may_come_back(tmp_path: Path) -> None:

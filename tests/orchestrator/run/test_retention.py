@@ -42,7 +42,7 @@ def bytes_in(folder: Path) -> int:
 def keeping(folder: Path, *limits: str, now: float = 0.0) -> list[str]:
     """Apply limits to a run's folder at a time after the cameras' first frame; return what was said."""
     said: list[str] = []
-    Retention(folder, parse_keep(limits), said.append, clock=lambda: BEGAN + now).apply()
+    Retention(folder, lambda: {None: parse_keep(limits)}, said.append, clock=lambda: BEGAN + now).apply()
     return said
 
 
@@ -81,7 +81,7 @@ def test_the_oldest_segments_of_all_cameras_go_until_the_rest_is_small_enough(tm
     assert left["gate"] == [f"1400{seconds}" for seconds in range(int(left["gate"][0][4:]), 50, 10)]
     # The segments that are open, and what a stream goes on from, stay in any case; that is said once.
     said: list[str] = []
-    retention = Retention(tmp_path, Keep(size=1), said.append)
+    retention = Retention(tmp_path, lambda: {None: Keep(size=1)}, said.append)
     for _ in range(3):
         retention.apply()
     assert [len(segment_folders(tmp_path / name)) for name in ("gate", "yard")] == [1, 1]
@@ -216,7 +216,7 @@ def simulate(folder: Path, hours: int, rate: float, keep: str, look: int) -> dic
     said: list[str] = []
     found: dict[str, list[float]] = {"disk": [], "memory": [], "lists": []}
     camera = Camera(folder / "gate", frozenset({"masks", "parquet", "overlay"}), rate=rate, seconds=3600)
-    retention = Retention(folder, parse_keep([keep]), said.append, clock=lambda: camera.now)
+    retention = Retention(folder, lambda: {None: parse_keep([keep])}, said.append, clock=lambda: camera.now)
     for end in range(look, round(hours * 3600 * rate) + 1, look):
         camera.send(end)
         retention.apply()

@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 import threading
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,10 @@ import pytest
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator.events.delivery import Backlog
+from orchestrator.options import recorded
+from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.run import what_to_look_at
-from orchestrator.run.run_folder import RunFolder, RunSettings, StatusFile, describe_run
-from orchestrator.run.stream_list import ListedStream
+from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sources.address import parse_address
 from orchestrator.storage import durable_files
@@ -29,7 +29,7 @@ def listed(name: str, uri: str) -> ListedStream:
     return ListedStream(name, parse_address(uri, Path("/videos")), 1)
 
 
-MASKS = RunSettings(frozenset({"masks"}))
+MASKS = recorded({"save": {"masks"}})
 STATES = [
     StreamState("yard", "done", read=12, committed=12),
     StreamState("a<b>", "partial", read=9, committed=8, quarantined=1, error="1 frame <is> bad."),
@@ -90,7 +90,7 @@ def test_a_second_run_is_refused_and_the_first_one_keeps_its_description(tmp_pat
 
 def test_a_run_is_described_by_all_that_its_results_depend_on_but_no_password() -> None:
     streams = [listed("yard", "yard.mp4"), listed("door", "rtsp://bob:hunter2@cam/door?token=hunter3")]
-    description = describe_run(streams, Config(), RunSettings(frozenset({"parquet", "masks"}), 7))
+    description = describe_run(streams, Config(), recorded({"save": {"parquet", "masks"}, "max_frames": 7}))
     assert description["sources"] == {"yard": "/videos/yard.mp4", "door": "rtsp://***@cam/door?token=***"}
     assert description["config"] == Config().model_dump(mode="json")
     assert (description["save"], description["max_frames"]) == (["masks", "parquet"], 7)
@@ -249,22 +249,22 @@ def test_a_run_is_gone_on_with_only_as_it_was_begun(tmp_path: Path) -> None:
     begun = folder.description()
     folder.refuse_other(begun, plain | {"started": "later"})
     other_config = Config.model_validate({"layers": {"lookahead": 1}})
-    ignoring = replace(MASKS, ignored={"yard=/mask.png": "ab12"})
+    ignoring = MASKS | {"ignore": {"yard=/mask.png": "ab12"}}
     for description, words in (
         (describe_run(streams, other_config, MASKS), r"parameters \(layers.lookahead was 0, now 1\)"),
         (describe_run([listed("yard", "other.mp4")], config, MASKS), "streams"),
         (
-            describe_run(streams, config, RunSettings(frozenset({"parquet"}))),
+            describe_run(streams, config, recorded({"save": {"parquet"}})),
             r"--save \(was masks, now parquet\)",
         ),
         (
-            describe_run(streams, config, replace(MASKS, max_frames=7)),
+            describe_run(streams, config, MASKS | {"max_frames": 7}),
             r"--max-frames \(was not given, now 7\)",
         ),
-        (describe_run(streams, config, replace(MASKS, max_side=64)), "--max-side"),
+        (describe_run(streams, config, MASKS | {"max_side": 64}), "--max-side"),
         (
             describe_run(streams, config, ignoring),
-            r"files to --ignore \(was not given, now yard=/mask.png\)",
+            r"--ignore \(was not given, now yard=/mask.png\)",
         ),
     ):
         with pytest.raises(ConfigError, match=f"had other .*{words}"):

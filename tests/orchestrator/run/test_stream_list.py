@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.stream_list import (
     MAX_BYTES,
     MAX_STREAMS,
-    ListedStream,
     missing_sources,
     read_stream_list,
 )
@@ -23,7 +23,7 @@ from orchestrator.sources.presence import images_of
 def read(folder: Path, text: str | bytes) -> tuple[ListedStream, ...]:
     path = folder / "list.txt"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return read_stream_list(path)
+    return read_stream_list(path).streams
 
 
 def refusal(folder: Path, text: str | bytes) -> str:
@@ -46,7 +46,7 @@ def test_relative_paths_count_from_the_folder_of_the_list_not_from_the_working_f
     (tmp_path / "lists").mkdir()
     (tmp_path / "lists/a.txt").write_text("../clips/a.mp4\n")
     monkeypatch.chdir(tmp_path)
-    (stream,) = read_stream_list(Path("lists/a.txt"))
+    (stream,) = read_stream_list(Path("lists/a.txt")).streams
     assert Path(stream.source.location).resolve() == (tmp_path / "clips/a.mp4").resolve()
 
 

@@ -16,7 +16,8 @@ from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
 from mlbs_actors.source import SourceFrame
 from orchestrator.export.recorded_stream import recorded_stream
-from orchestrator.run.run_folder import RunFolder, RunSettings, StatusFile, describe_run
+from orchestrator.options import recorded
+from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
 from orchestrator.run.whole_overlays import is_in_parts, is_lost, make_whole
@@ -110,9 +111,9 @@ def test_only_an_overlay_that_left_no_trace_is_lost(tmp_path: Path, source: Path
 @pytest.mark.long
 def test_the_command_that_resumes_a_run_leaves_one_overlay(tmp_path: Path, source: Path) -> None:
     (tmp_path / "list.txt").write_text(f"yard {source}\n")
-    streams = read_stream_list(tmp_path / "list.txt")
+    streams = read_stream_list(tmp_path / "list.txt").streams
     folder = RunFolder(tmp_path / "out")
-    folder.create(describe_run(streams, Config(), RunSettings(SAVED)))
+    folder.create(describe_run(streams, Config(), recorded({"save": SAVED})))
     written(tmp_path / "out/yard", source, 45)
     written(tmp_path / "out/yard", source)
     StatusFile(folder.path / "status.json").finish([StreamState("yard", "done", read=60, committed=60)], 0)

@@ -205,3 +205,26 @@ def test_a_full_disk_fails_the_stream_and_loses_nothing_that_was_committed(
     again.send(250)
     again.record.close(whole=True)
     expect_the_same(tmp_path / "gate", plain)
+
+
+def all_masks(folder: Path) -> dict[str, bytes]:
+    """Those in archives, and those in files of their own."""
+    return masks(folder) | {path.name: path.read_bytes() for path in folder.glob("masks/*.png")}
+
+
+@pytest.mark.parametrize("lengths", [(10, 3), (None, 5, None, 5)])
+def test_a_record_may_begin_or_end_to_be_in_segments_whenever_it_is_opened(
+    tmp_path: Path, plain: Path, lengths: tuple[int | None, ...]
+) -> None:
+    for number, seconds in enumerate(lengths, start=1):
+        camera = Camera(tmp_path / "gate", seconds=seconds)
+        camera.send(250 * number // len(lengths) // 20 * 20)
+        camera.record.close(whole=False)
+    camera = Camera(tmp_path / "gate", seconds=lengths[-1])
+    camera.send(250)
+    camera.record.close(whole=True)
+    assert all_masks(tmp_path / "gate") == {
+        path.name: path.read_bytes() for path in (plain / "masks").iterdir()
+    }
+    assert [*read_rows(tmp_path / "gate")] == [*read_rows(plain)]
+    assert (tmp_path / "gate/objects.csv").read_bytes() == (plain / "objects.csv").read_bytes()

@@ -8,19 +8,19 @@ import pytest
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import parse
-from orchestrator.run.zones_history import keep_zones, newest_zones
+from orchestrator.run.edited_files import keep_version, newest_version
 
 GOOD = "streams: {gate: {zones: [{name: yard, polygon: [[0, 0], [1, 0], [1, 1]]}]}}"
 BAD = GOOD.replace("[1, 1]", "[1, one]")
 
 
 def test_every_version_is_kept_and_the_newest_is_in_force(tmp_path: Path) -> None:
-    assert newest_zones(tmp_path) is None
+    assert newest_version(tmp_path, "zones") is None
     for text in (GOOD, GOOD, GOOD.replace("yard", "lawn"), GOOD):
-        keep_zones(tmp_path, text)
+        keep_version(tmp_path, "zones", text)
     kept = sorted(path.name for path in tmp_path.iterdir())
     assert kept == ["zones-0001.yaml", "zones-0002.yaml", "zones-0003.yaml"]
-    newest = newest_zones(tmp_path)
+    newest = newest_version(tmp_path, "zones")
     assert newest is not None
     assert (newest.name, newest.read_text()) == ("zones-0003.yaml", GOOD)
 
@@ -33,7 +33,7 @@ def test_a_resumed_run_goes_on_with_the_zones_of_before_where_the_file_cannot_be
     for more in ([], ["--resume"]):  # nothing is there to go on with
         with pytest.raises(ConfigError, match="line 1"):
             parse([*words, *more])
-    keep_zones(output, GOOD)
+    keep_version(output, "zones", GOOD)
     with pytest.raises(ConfigError, match="line 1"):
         parse(words)
     zones = parse([*words, "--resume"]).zones

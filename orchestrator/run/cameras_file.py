@@ -1,0 +1,178 @@
+"""The file of cameras: streams with what each is asked for, in YAML.
+
+    defaults: {max_side: 960, keep: 7d}
+    streams:
+      gate:
+        source: rtsp://user:password@host/stream
+        zones: [{name: yard, polygon: [[0, 0.5], [1, 0.5], [1, 1], [0, 1]]}]
+
+It is edited while the run is at work, so each value is checked by itself. One that cannot be used is told,
+and that of an earlier version stands in for it; a new stream waits until it is mended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from mlbs_actors.config import load_config
+from mlbs_actors.errors import ConfigError, SourceError
+from orchestrator.credentials import mask
+from orchestrator.events.zones import StreamRules
+from orchestrator.options import Form, options
+from orchestrator.run.listed_stream import ListedStream, OwnSettings, StreamsFile, check_name
+from orchestrator.sources.address import SourceAddress, parse_address
+from orchestrator.yaml_file import YamlFile, faults_of, line_of, read_yaml
+
+__all__ = ["parse_cameras"]
+
+_OPTIONS = {name: option for name, option in options() if option.of_streams}
+
+
+def parse_cameras(path: Path, folder: Path, before: StreamsFile | None = None) -> StreamsFile:
+    """Read a file of cameras.
+
+    Parameters
+    ----------
+    path : Path
+    folder : Path
+        Of relative paths in it.
+    before : StreamsFile, optional
+        An earlier version, for what cannot be used now.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, is no YAML, or names no stream.
+    """
+    return _Parser(path, folder, read_yaml(path, "--streams"), before).parsed()
+
+
+@dataclass(slots=True)
+class _Parser:
+    path: Path
+    folder: Path
+    file: YamlFile
+    before: StreamsFile | None
+    faults: dict[int, str] = field(default_factory=dict)
+
+    def parsed(self) -> StreamsFile:
+        content = self.file.content
+        streams = content.get("streams") if isinstance(content, dict) else None
+        if not isinstance(streams, dict) or not streams:
+            raise ConfigError(
+                f"--streams: {self.path} names no stream; write one as\n"
+                "streams:\n  gate:\n    source: rtsp://user:password@host/stream"
+            )
+        for key in content.keys() - {"defaults", "streams"}:
+            self._fault([key], f"there is no key {key!r}; known are defaults and streams")
+        earlier = {} if self.before is None else {one.name: one for one in self.before.streams}
+        defaults = content.get("defaults") or {}
+        if self._settings(["defaults"], defaults, OwnSettings()) is None:
+            defaults = {}
+        parsed = [self._stream(str(name), entry, defaults, earlier) for name, entry in streams.items()]
+        usable = tuple(stream for stream in parsed if stream is not None)
+        return StreamsFile(usable, self.faults, self.file.text)
+
+    def _fault(self, place: Sequence[str], words: str) -> None:
+        self.faults[line_of(self.file.tree, place)] = mask(words).rstrip(".")
+
+    def _stream(
+        self,
+        name: str,
+        entry: object,
+        defaults: Mapping[str, Any],
+        earlier: Mapping[str, ListedStream],
+    ) -> ListedStream | None:
+        place, before = ["streams", name], earlier.get(name)
+        try:
+            check_name(name, given=True)
+        except ConfigError as error:
+            self._fault(place, str(error))
+            return None
+        entry = {"source": entry} if isinstance(entry, str) else entry
+        if not isinstance(entry, dict) or not isinstance(entry.get("source"), str):
+            self._fault(place, f"{name} has no source; write source: rtsp://host/stream below it")
+            return before
+        was = entry.get("was")
+        own = {key: value for key, value in entry.items() if key not in ("source", "was")}
+        source = self._source(place, entry["source"], before)
+        settings = self._settings(place, own, OwnSettings() if before is None else before.own, defaults)
+        if settings is None and before is not None:
+            settings = before.own
+        if source is None or settings is None:
+            return None
+        line = line_of(self.file.tree, place)
+        return ListedStream(name, source, line, settings, None if was is None else str(was))
+
+    def _source(self, place: list[str], given: str, before: ListedStream | None) -> SourceAddress | None:
+        try:
+            return parse_address(given, self.folder)
+        except (ConfigError, SourceError) as error:
+            self._fault([*place, "source"], f"source: {error}")
+            return None if before is None else before.source
+
+    def _settings(
+        self, place: list[str], entry: object, before: OwnSettings, defaults: Mapping[str, Any] | None = None
+    ) -> OwnSettings | None:
+        """Read what an entry asks for, with the values of before for those that cannot be used.
+
+        None if one cannot, and there is none of before.
+        """
+        if not isinstance(entry, dict):
+            self._fault(place, f"{place[-1]} is no mapping of keys to values")
+            return None
+        whole, complete = _merged(defaults or {}, entry), True
+        values: dict[str, Any] = {}
+        for key in whole.keys() & _OPTIONS.keys():
+            try:
+                values[key] = self._value(key, whole[key])
+            except ConfigError as error:
+                self._fault([*place, key], str(error))
+                complete &= key in before.options
+                if key in before.options:
+                    values[key] = before.options[key]
+        for key in entry.keys() - _OPTIONS.keys() - StreamRules.model_fields.keys():
+            known = ", ".join([*_OPTIONS, *StreamRules.model_fields])
+            self._fault([*place, str(key)], f"there is no key {key!r}; known are source, was, {known}")
+        asked = {key: whole[key] for key in StreamRules.model_fields if key in whole}
+        try:
+            rules = StreamRules.model_validate(asked) if asked else None
+        except ValidationError as invalid:
+            self.faults |= faults_of(self.file.tree, invalid, place)
+            rules, complete = before.rules, complete and before.rules is not None
+        return OwnSettings(values, rules) if complete else None
+
+    def _value(self, key: str, given: object) -> object:
+        option = _OPTIONS[key]
+        if isinstance(given, dict):
+            texts = [f"{name}={_text(one)}" for name, one in given.items()]
+        else:
+            texts = [_text(one) for one in (given if isinstance(given, list) else [given])]
+        if key == "ignore":
+            texts = [str(self.folder / text) for text in texts]
+        value = option.value(key, texts if option.form in (Form.REPEATED, Form.WORDS) else ",".join(texts))
+        if key == "set":
+            load_config(None, value)  # whether there are such parameters
+        return value
+
+
+def _merged(defaults: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an entry with the defaults of all; of parameters each one counts by itself."""
+    whole = {**defaults, **entry}
+    both = defaults.get("set"), entry.get("set")
+    if isinstance(both[0], dict) and isinstance(both[1], dict):
+        whole["set"] = {**both[0], **both[1]}
+    return whole
+
+
+def _text(value: object) -> str:
+    """Return a value of YAML as the command line would have it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return value if isinstance(value, str) else yaml.safe_dump(value).removesuffix("\n...\n").strip()

@@ -1,0 +1,96 @@
+"""A stream as it was asked for: its name, its source, and what differs from the command for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from mlbs_actors.errors import ConfigError
+from orchestrator.events.zones import StreamRules
+from orchestrator.sources.address import SourceAddress
+
+__all__ = ["MAX_NAME_BYTES", "RESERVED_NAMES", "ListedStream", "OwnSettings", "StreamsFile", "check_name"]
+
+MAX_NAME_BYTES = 100
+RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html", "ray.log"})
+
+
+@dataclass(frozen=True, slots=True)
+class OwnSettings:
+    """What a file of cameras says of a stream.
+
+    Attributes
+    ----------
+    options : mapping of str to object
+        Values of options by the name of their field in :class:`~orchestrator.options.Arguments`.
+    rules : StreamRules, optional
+        Zones, and what is asked of objects.
+    """
+
+    options: Mapping[str, Any] = field(default_factory=dict)
+    rules: StreamRules | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ListedStream:
+    """One stream of the list or of the command line.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the run, and a plain file name.
+    source : SourceAddress
+    line : int, optional
+        Line number in the list, from 1; None if it is not from a list.
+    own : OwnSettings
+    was : str, optional
+        Its name before, under which the run may hold its record.
+    """
+
+    name: str
+    source: SourceAddress
+    line: int | None
+    own: OwnSettings = field(default_factory=OwnSettings)
+    was: str | None = None
+
+    def is_like(self, other: ListedStream) -> bool:
+        """Whether it differs from another one at most by its line."""
+        return replace(self, line=None) == replace(other, line=None)
+
+
+@dataclass(frozen=True, slots=True)
+class StreamsFile:
+    """What a list of streams or a file of cameras says.
+
+    Attributes
+    ----------
+    streams : tuple of ListedStream
+        Those that can be used.
+    faults : dict of int to str
+        Number of each line that cannot be used → what is wrong with it, without credentials.
+    text : str, optional
+        Of a file of cameras.
+    """
+
+    streams: tuple[ListedStream, ...]
+    faults: dict[int, str]
+    text: str | None = field(default=None, repr=False)
+
+
+def check_name(name: str, *, given: bool) -> None:
+    """Raise ConfigError if a name cannot be that of a stream's folder.
+
+    Parameters
+    ----------
+    name : str
+    given : bool
+        Whether somebody chose it, for the advice.
+    """
+    advice = "choose another name" if given else "give it a name by writing NAME SOURCE"
+    if not name or "/" in name or "\\" in name or name.startswith((".", "-")) or "***" in name:
+        raise ConfigError(f"{name!r} cannot be the name of a stream's folder; {advice}")
+    if len(name.encode()) > MAX_NAME_BYTES:
+        raise ConfigError(f"the name is longer than {MAX_NAME_BYTES} bytes; {advice}")
+    if name.lower() in RESERVED_NAMES:
+        raise ConfigError(f"{name!r} is the name of a file of the run; {advice}")

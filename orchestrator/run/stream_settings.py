@@ -1,0 +1,123 @@
+"""What one stream is asked for: the options of the command, with what a file of cameras says of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from mlbs_actors.config import Config, with_overrides
+from orchestrator.events.zones import EventRules
+from orchestrator.ignored import IgnoredFile
+from orchestrator.options import Arguments, Effect, options
+from orchestrator.run.listed_stream import ListedStream
+from orchestrator.run.retention_limits import HOUR, Keep
+
+__all__ = ["StreamSettings", "changes_between", "settings_of", "words_of_changes"]
+
+_EFFECTS = {name: option.effect for name, option in options()} | {"rules": Effect.AT_ONCE}
+
+#: Most differences that a message lists.
+_MOST_CHANGES = 3
+
+#: Of these an event tells, not of what only limits or ends.
+_TOLD = ("config", "save", "max_side", "ignore", "segment")
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings:
+    """The values of the options for one stream, each under the option's name.
+
+    Attributes
+    ----------
+    config : Config
+        All parameters.
+    save : frozenset of str
+    max_frames, max_side : int, optional
+    ignore : IgnoredFile, optional
+    segment : int, optional
+        s; None for a file.
+    keep : Keep, optional
+    give_up_after : int, optional
+        s.
+    rules : EventRules
+        What its events depend on.
+    """
+
+    config: Config
+    save: frozenset[str]
+    max_frames: int | None
+    max_side: int | None
+    ignore: IgnoredFile | None
+    segment: int | None
+    keep: Keep | None
+    give_up_after: int | None
+    rules: EventRules
+
+    def described(self) -> dict[str, Any]:
+        """Return each value as ``run.json`` has it."""
+        return {
+            "config": self.config.model_dump(mode="json"),
+            "save": sorted(self.save),
+            "max_frames": self.max_frames,
+            "max_side": self.max_side,
+            "ignore": None if self.ignore is None else self.ignore.digest,
+            "segment": self.segment,
+            "keep": None if self.keep is None else list(self.keep.words),
+            "give_up_after": self.give_up_after,
+            "rules": self.rules.digest,
+        }
+
+
+def settings_of(stream: ListedStream, arguments: Arguments, config: Config) -> StreamSettings:
+    """Return what a stream is asked for; ``config`` has the parameters of the command."""
+    own = stream.own.options
+    values = {
+        one.name: own.get(one.name, getattr(arguments, one.name, None)) for one in fields(StreamSettings)
+    }
+    if "set" in own:
+        config = with_overrides(config, own["set"])
+    ignored = own.get("ignore", arguments.ignore)
+    segment = HOUR if values["keep"] is not None and values["segment"] is None else values["segment"]
+    remembered = config.layers.dormant_frames
+    rules = arguments.zones.rules_of(stream.name, remembered)
+    if stream.own.rules is not None:
+        rules = stream.own.rules.as_event_rules(remembered)
+    values |= {
+        "config": config,
+        "ignore": ignored.file_of(stream.name),
+        "segment": segment if stream.source.live else None,
+        "rules": rules,
+    }
+    settings = StreamSettings(**values)
+    told = {key: value for key, value in settings.described().items() if key in _TOLD}
+    digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+    return replace(settings, rules=replace(rules, settings=digest))
+
+
+def changes_between(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Effect]:
+    """Return the options that differ between two described settings, with when they take effect."""
+    return {name: _EFFECTS[name] for name in now if name in before and before[name] != now[name]}
+
+
+def words_of_changes(before: object, now: object) -> str:
+    """Say how a part of a run's description has changed."""
+    changes = list(_differences(before, now))
+    more = len(changes) - _MOST_CHANGES
+    return "; ".join(changes[:_MOST_CHANGES]) + (f"; and {more} more" if more > 0 else "")
+
+
+def _differences(before: object, now: object, name: str = "") -> Iterator[str]:
+    if isinstance(before, Mapping) and isinstance(now, Mapping):
+        for key in sorted(before.keys() | now.keys()):
+            yield from _differences(before.get(key), now.get(key), f"{name}.{key}" if name else key)
+    elif before != now:
+        yield f"{name} was {_given(before)}, now {_given(now)}".lstrip()
+
+
+def _given(value: object) -> str:
+    if value is None:
+        return "not given"
+    return ", ".join(map(str, value)) if isinstance(value, (list, Mapping)) else str(value)

@@ -1,0 +1,113 @@
+"""YAML files that operators write: read with the line of everything that cannot be used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from mlbs_actors.errors import ConfigError
+
+__all__ = ["YamlFile", "faults_of", "line_of", "read_yaml"]
+
+
+@dataclass(frozen=True, slots=True)
+class YamlFile:
+    """A file of YAML.
+
+    Attributes
+    ----------
+    text : str
+    tree : yaml.Node, optional
+        What it says, with lines; None if it is empty.
+    content
+        The same as values.
+    """
+
+    text: str
+    tree: yaml.Node | None
+    content: Any
+
+
+def read_yaml(path: Path, flag: str) -> YamlFile:
+    """Read a file.
+
+    Parameters
+    ----------
+    path : Path
+    flag : str
+        What names the file, for messages.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, is no YAML, or names something twice; names the line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        tree = yaml.compose(text, yaml.SafeLoader)
+        if tree is not None:
+            _refuse_twice(path, flag, tree)
+        return YamlFile(text, tree, yaml.safe_load(text))
+    except OSError as error:
+        raise ConfigError(f"{flag}: {path} cannot be read: {error.strerror}.") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{flag}: {path} is no text in UTF-8.") from None
+    except yaml.MarkedYAMLError as error:
+        line = 1 if error.problem_mark is None else error.problem_mark.line + 1
+        raise ConfigError(f"{flag}: {path}, line {line}: {error.problem}.") from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{flag}: {path} is no YAML: {error}") from None
+    except (ValueError, TypeError, RecursionError) as error:  # such as a date that there is not, or a loop
+        raise ConfigError(f"{flag}: {path} cannot be understood: {error}.") from None
+
+
+def line_of(tree: yaml.Node | None, place: Sequence[int | str]) -> int:
+    """Return the number, from 1, of the line with a key or an item, or with what is nearest above it."""
+    node, line = tree, 1
+    for step in place:
+        if isinstance(node, yaml.MappingNode):
+            found = [(key, value) for key, value in node.value if str(key.value) == str(step)]
+            if not found:
+                break
+            key, node = found[0]
+            line = key.start_mark.line + 1
+        elif isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):
+            node = node.value[step]
+            line = node.start_mark.line + 1
+    return line
+
+
+def faults_of(
+    tree: yaml.Node | None, invalid: ValidationError, place: Sequence[int | str] = ()
+) -> Mapping[int, str]:
+    """Return what is wrong by the number of the line, of a part at a place of the file."""
+    faults = {}
+    for one in invalid.errors():
+        words = one["msg"].removeprefix("Value error, ")
+        if words.startswith("Extra inputs"):
+            words = "there is no such key"
+        where = ".".join(str(step) for step in one["loc"])
+        faults[line_of(tree, [*place, *one["loc"]])] = f"{where + ': ' if where else ''}{words}"
+    return faults
+
+
+def _refuse_twice(path: Path, flag: str, node: yaml.Node) -> None:
+    """Refuse a key that stands twice in one mapping: YAML would silently take the last."""
+    if isinstance(node, yaml.MappingNode):
+        names = set()
+        for key, value in node.value:
+            line = key.start_mark.line + 1
+            if not isinstance(key, yaml.ScalarNode):
+                raise ConfigError(f"{flag}: {path}, line {line}: this is no name.")
+            if key.value in names:
+                raise ConfigError(f"{flag}: {path}, line {line}: {key.value!r} stands there twice.")
+            names.add(key.value)
+            _refuse_twice(path, flag, value)
+    elif isinstance(node, yaml.SequenceNode):
+        for item in node.value:
+            _refuse_twice(path, flag, item)

@@ -1,0 +1,132 @@
+"""A file of cameras: what each is asked for, and what becomes of what cannot be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mlbs_actors.config import Config
+from mlbs_actors.errors import ConfigError
+from orchestrator.command_line import parse
+from orchestrator.options import Effect
+from orchestrator.run.listed_stream import StreamsFile
+from orchestrator.run.stream_list import parse_stream_list, read_stream_list
+from orchestrator.run.stream_settings import StreamSettings, changes_between, settings_of
+
+CAMERAS = """\
+defaults:
+  max_side: 960
+  keep: [7d, 50GB]
+  set: {layers.lookahead: 3}
+  minimum: {area: 400}
+streams:
+  gate:
+    source: rtsp://bob:secret@cam/gate
+    save: masks
+    set: {segmentation.label_cost: 9}
+    zones: [{name: yard, polygon: [[0, 0], [1, 0], [1, 1]]}]
+  lane: http://cam/lane
+"""
+
+
+def read(folder: Path, text: str, before: StreamsFile | None = None) -> StreamsFile:
+    file = folder / "cameras.yaml"
+    file.write_text(text)
+    return parse_stream_list(file, before)
+
+
+def asked(parsed: StreamsFile, name: str, *flags: str) -> StreamSettings:
+    stream = next(one for one in parsed.streams if one.name == name)
+    return settings_of(stream, parse(["--streams", "x", *flags]), Config())
+
+
+def test_each_camera_has_its_own_values_then_the_defaults_then_those_of_the_command(tmp_path: Path) -> None:
+    parsed = read(tmp_path, CAMERAS)
+    assert parsed.faults == {}
+    assert [(one.name, one.line) for one in parsed.streams] == [("gate", 7), ("lane", 12)]
+    gate, lane = (asked(parsed, name, "--save", "parquet", "--max-frames", "9") for name in ("gate", "lane"))
+    assert (gate.save, lane.save) == (frozenset({"masks"}), frozenset({"parquet"}))
+    assert (gate.max_side, lane.max_side, gate.max_frames) == (960, 960, 9)
+    assert gate.config.layers.lookahead == lane.config.layers.lookahead == 3
+    assert (gate.config.segmentation.label_cost, lane.config.segmentation.label_cost) != (9.0, 9.0)
+    assert gate.config.segmentation.label_cost == 9.0
+    assert gate.keep is not None
+    assert (gate.keep.seconds, gate.keep.size, gate.segment) == (7 * 86400, 50 * 10**9, 3600)
+    assert [zone.name for zone in gate.rules.zones] == ["yard"]
+    assert gate.rules.minimum.area == lane.rules.minimum.area == 400
+    assert "secret" not in f"{parsed!r}"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "line", "words"),
+    [
+        ("max_side: 960", "max_side: nine", 2, "max_side 'nine' is not a whole number"),
+        ("save: masks", "save: maks", 9, "knows no 'maks'"),
+        ("save: masks", "sav: masks", 9, "there is no key 'sav'"),
+        ("label_cost: 9", "lable_cost: 9", 10, "did you mean"),
+        ("[1, 1]", "[1, one]", 11, "zones"),
+        ("rtsp://bob", "ftp://bob", 8, "source: 'ftp' is no known kind"),
+        ("lane: http://cam/lane", "lane: {}", 12, "lane has no source"),
+        ("lane:", "../lane:", 12, "cannot be the name"),
+        ("streams:", "steams: {}\nstreams:", 6, "there is no key 'steams'"),
+    ],
+)
+def test_a_value_that_cannot_be_used_is_told_with_its_line_and_the_one_before_stands_in(
+    tmp_path: Path, before: str, after: str, line: int, words: str
+) -> None:
+    good = read(tmp_path, CAMERAS)
+    text = CAMERAS.replace(before, after)
+    parsed = read(tmp_path, text, good)
+    assert list(parsed.faults) == [line]
+    assert words in parsed.faults[line]
+    assert "secret" not in parsed.faults[line]
+    now = {one.name: one for one in parsed.streams}
+    for stream in good.streams:
+        if "../" not in after or stream.name != "lane":  # whose name is gone
+            kept = asked(parsed, stream.name).described()
+            if before != "max_side: 960":
+                assert kept == asked(good, stream.name).described() or after == "sav: masks"
+            assert now[stream.name].source == stream.source
+    with pytest.raises(ConfigError, match=f"line {line}:"):
+        read_stream_list(tmp_path / "cameras.yaml")
+
+
+def test_a_new_camera_waits_until_its_faults_are_mended(tmp_path: Path) -> None:
+    good = read(tmp_path, CAMERAS)
+    parsed = read(tmp_path, CAMERAS + "  door: {source: rtsp://cam/door, save: all}\n", good)
+    assert [one.name for one in parsed.streams] == ["gate", "lane"]
+    parsed = read(tmp_path, CAMERAS + "  door: {source: rtsp://cam/door, save: masks}\n", good)
+    assert [one.name for one in parsed.streams] == ["gate", "lane", "door"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "names no stream"),
+        ("- a\n", "names no stream"),
+        ("streams:\n  a: b\n  a: c\n", "stands there twice"),
+    ],
+)
+def test_a_file_without_streams_or_with_one_twice_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "effects"),
+    [
+        ("yard", "drive", {"rules": Effect.AT_ONCE}),
+        ("keep: [7d, 50GB]", "keep: 8d", {"keep": Effect.AT_ONCE}),
+        ("save: masks", "save: parquet", {"save": Effect.RESTART, "rules": Effect.AT_ONCE}),
+        ("max_side: 960", "max_side: 480", {"max_side": Effect.EPOCH, "rules": Effect.AT_ONCE}),
+        ("label_cost: 9", "label_cost: 8", {"config": Effect.EPOCH, "rules": Effect.AT_ONCE}),
+    ],
+)
+def test_a_change_takes_effect_when_its_option_says(
+    tmp_path: Path, before: str, after: str, effects: dict[str, Effect]
+) -> None:
+    was = asked(read(tmp_path, CAMERAS), "gate").described()
+    now = asked(read(tmp_path, CAMERAS.replace(before, after)), "gate").described()
+    assert changes_between(was, now) == effects
+    assert changes_between(was, was) == {}
