@@ -16,7 +16,12 @@ from orchestrator.run.argument_streams import argument_streams
 from orchestrator.run.listed_stream import StreamsFile
 from orchestrator.run.resumption import earlier_streams, is_known
 from orchestrator.run.run_folder import RunFolder
-from orchestrator.run.stream_list import missing_sources, parse_stream_list, read_stream_list
+from orchestrator.run.stream_list import (
+    missing_sources,
+    parse_stream_list,
+    read_stream_list,
+    refuse_if_all,
+)
 
 __all__ = ["run_command"]
 
@@ -60,7 +65,9 @@ def run_command(argv: Sequence[str]) -> int:
                 "The record of a file is always kept whole."
             )
         config = _parameters(arguments, before, log)
-        missing = missing_sources(arguments.streams, streams)
+        missing = missing_sources(streams)
+        if before is None:
+            refuse_if_all(arguments.streams, streams, missing)
         with (
             ray_settings(arguments.address) as scratch,
             starting_ray(arguments.address, scratch, arguments.ray_metrics) as head,

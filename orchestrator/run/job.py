@@ -162,6 +162,8 @@ class Job:
         """Take up a stream that had another name; what was recorded of it is not written to any more."""
         try:
             self.description = with_new_names(self._folder, self.description, [stream], self._say)
+            for known in (self._streams, self._settings):
+                known.pop(stream.was or "", None)
             self._folder.redescribe(self.description)
         except OSError as error:
             self._say(f"{stream.was} cannot get the name {stream.name}: {error.strerror}.")

@@ -117,33 +117,20 @@ def _parse_lines(path: Path) -> StreamsFile:
     return StreamsFile(tuple(streams), faults)
 
 
-def missing_sources(path: Path | None, streams: Sequence[ListedStream]) -> dict[str, str]:
+def missing_sources(streams: Sequence[ListedStream]) -> dict[str, str]:
     """Find streams without a source.
-
-    Parameters
-    ----------
-    path : Path, optional
-        The list, for messages.
-    streams : sequence of ListedStream
 
     Returns
     -------
     dict of str to str
         Stream name → the reason, a sentence without credentials.
-
-    Raises
-    ------
-    ConfigError
-        If none has a source.
     """
-    missing = {stream.name: sentence for stream, sentence in _sourceless(streams)}
-    refuse_if_all(path, streams, missing)
-    return missing
+    return {stream.name: sentence for stream, sentence in _sourceless(streams)}
 
 
 def refuse_if_all(path: Path | None, streams: Sequence[ListedStream], faults: Mapping[str, str]) -> None:
     """Raise ConfigError if all streams have a fault, for one of which a run would go on without it."""
-    if len(faults) == len(streams):
+    if streams and len(faults) == len(streams):
         listed = {stream.line: faults[stream.name].rstrip(".") for stream in streams if stream.line}
         given = [faults[stream.name] for stream in streams if stream.line is None]
         report = [] if path is None else [_fault_report(path, listed)]

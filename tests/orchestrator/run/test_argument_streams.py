@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.run.argument_streams import DEMO, argument_streams
-from orchestrator.run.listed_stream import MAX_NAME_BYTES
-from orchestrator.run.stream_list import missing_sources, read_stream_list
+from orchestrator.run.listed_stream import MAX_NAME_BYTES, ListedStream
+from orchestrator.run.stream_list import missing_sources, read_stream_list, refuse_if_all
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
@@ -44,6 +45,10 @@ def test_a_file_is_taken_by_its_name_whatever_it_looks_like(folder: Path, name: 
     touch(name)
     ((_, source),) = named(name)
     assert source == str(folder / name)
+
+
+def refuse_missing(streams: Sequence[ListedStream]) -> None:
+    refuse_if_all(None, streams, missing_sources(streams))
 
 
 def test_a_folder_or_glob_of_videos_is_a_stream_for_each(folder: Path) -> None:
@@ -124,9 +129,9 @@ def test_a_path_with_spaces_is_told_to_be_quoted_also_where_its_first_word_is_a_
 
 def test_missing_files_are_named_and_fail_alone_unless_nothing_is_left(folder: Path) -> None:
     Path("a.mp4").write_text("a")
-    assert list(missing_sources(None, argument_streams(["a.mp4", "b.mp4"]))) == ["b"]
+    assert list(missing_sources(argument_streams(["a.mp4", "b.mp4"]))) == ["b"]
     with pytest.raises(ConfigError) as caught:
-        missing_sources(None, argument_streams(["b.mp4", "c.mp4"]))
+        refuse_missing(argument_streams(["b.mp4", "c.mp4"]))
     assert str(caught.value).splitlines() == [
         f"There is no file or folder {folder / name}; check the path." for name in ("b.mp4", "c.mp4")
     ]
@@ -135,11 +140,11 @@ def test_missing_files_are_named_and_fail_alone_unless_nothing_is_left(folder: P
 def test_a_folder_of_folders_of_videos_is_told_how_to_be_named(folder: Path) -> None:
     touch("DCIM/100/a.MP4", "DCIM/101/a.MP4")
     with pytest.raises(ConfigError, match=r"for those in its folders write '.*DCIM/\*/\*\.MP4'"):
-        missing_sources(None, argument_streams(["DCIM"]))
+        refuse_missing(argument_streams(["DCIM"]))
     assert [name for name, _ in named("DCIM/*/*.MP4")] == ["a", "a-2"]
 
 
 def test_a_folder_without_pictures_is_told_which_are_read(folder: Path) -> None:
     touch("empty/notes.doc")
     with pytest.raises(ConfigError, match=r"There are no videos and no images at .*empty; .* mp4, .* png,"):
-        missing_sources(None, argument_streams(["empty"]))
+        refuse_missing(argument_streams(["empty"]))

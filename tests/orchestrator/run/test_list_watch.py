@@ -97,7 +97,7 @@ def test_nothing_ends_while_a_line_is_bad(watched: Watched) -> None:
 
 def test_a_name_stands_for_one_source_throughout_a_run(watched: Watched) -> None:
     assert watched.change("a c.mp4\nb.mp4\n") is None
-    assert "line 1: the name 'a' stands for another source in this run" in watched.told[0]
+    assert "line 1: the name 'a' stands for " in watched.told[0]
     assert named(watched.change("b.mp4\n")) == ([], ["a"])
     assert watched.change("a d.mp4\nb.mp4\n") is None
     assert named(watched.change("a2 a.mp4\nb.mp4\n")) == (["a2"], [])
@@ -122,3 +122,21 @@ def test_a_list_that_cannot_be_read_changes_nothing(watched: Watched, text: str)
     watched.path.unlink()
     assert [watched.look() for _ in range(3)] == [None] * 3
     assert named(watched.change("a.mp4\n")) == ([], ["b"])
+
+
+def test_a_camera_may_be_at_another_address(tmp_path: Path) -> None:
+    watched = Watched(tmp_path, "a.mp4\ncam rtsp://bob:wrong@host/one\n")
+    watched.records["cam"] = "rtsp://***@host/one"
+    for line in ("cam rtsp://bob:right@host/one", "cam rtsp://bob:right@other/two", "cam http://host/"):
+        change = watched.change(f"a.mp4\n{line}\n")
+        assert change is not None
+        assert (change.added, change.removed) == ((), ())
+        assert [stream.source.location for stream in change.changed] == [line.removeprefix("cam ")]
+    assert watched.change("a.mp4\ncam b.mp4\n") is None  # no camera
+    assert "only a camera can be at another address" in watched.told[0]
+
+
+def test_a_renamed_camera_does_not_run_twice_while_a_line_is_bad(tmp_path: Path) -> None:
+    watched = Watched(tmp_path, "a.mp4\nlane rtsp://host/lane\n")
+    change = watched.change("a.mp4\nroad rtsp://host/lane\nx y z\n")
+    assert named(change) == (["road"], ["lane"])

@@ -15,6 +15,7 @@ from orchestrator.run.stream_list import (
     MAX_STREAMS,
     missing_sources,
     read_stream_list,
+    refuse_if_all,
 )
 from orchestrator.sources.address import SourceKind
 from orchestrator.sources.presence import images_of
@@ -319,5 +320,5 @@ def test_a_folder_of_folders_of_images_is_told_how_to_be_written(tmp_path: Path)
     (tmp_path / "480p/dog/00000.jpg").touch()
     streams = read(tmp_path, "480p\n")
     with pytest.raises(ConfigError, match=r"write '.*480p/\*'"):
-        missing_sources(tmp_path / "list.txt", streams)
+        refuse_if_all(tmp_path / "list.txt", streams, missing_sources(streams))
     assert [one.name for one in read(tmp_path, "'480p/*'\n")] == ["dog"]
