@@ -22,6 +22,8 @@ EventKind = Literal[
     "stream lost",
     "stream back",
     "configured",
+    "rule",
+    "fault",
 ]
 
 
