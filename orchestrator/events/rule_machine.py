@@ -2,8 +2,8 @@
 
 ``dwell`` and ``count`` in a zone say something at the first picture in which all of it holds: long enough,
 the objects as asked for, the schedule in force and the cool-down over. Once said, it is over for that stay of
-the object, or until there are fewer. ``sequence`` and ``count`` over a line are moments: one that falls
-outside the schedule or into the cool-down is not said later.
+the object, or until there are fewer. A ``sequence`` is a moment, which is not told later if it falls outside
+the schedule or into the cool-down; crossings are counted all the same, and the next one may be told.
 """
 
 from __future__ import annotations

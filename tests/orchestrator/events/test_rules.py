@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -18,6 +19,7 @@ from orchestrator.events.event_state import EventState
 from orchestrator.events.happenings import HOLD, Happenings
 from orchestrator.events.zones import EventRules, EventSettings, Minimum
 from orchestrator.rows.frame_row import FrameRow, ResultRow, run_length_code
+from orchestrator.rows.scene_place import ScenePlace
 
 #: What objects walk about in: 60 px wide, two zones at its sides, and a line between them.
 SHAPE = (20, 60)
@@ -411,3 +413,20 @@ def test_a_file_has_no_time_of_day_and_the_rule_says_what_then() -> None:
     assert stays() == [("fault", 0)]
     assert stays(without_clock="never") == []
     assert stays(without_clock="always") == [("rule", 4)]
+
+
+def test_a_rule_is_silent_while_nobody_knows_where_its_zone_is() -> None:
+    west = PLACES[0] | {"fixed_to": "scene"}
+    rules = [
+        {"name": "stays", "dwell": {"zone": "west", "seconds": 2}},
+        {"name": "crowd", "count": {"zone": "west", "at_least": 2, "seconds": 2}},
+    ]
+    settings = EventSettings.model_validate({"zones": [west], "rules": rules})
+    rows, place = [], ScenePlace.of(SHAPE, np.eye(3))
+    for index in range(30):
+        seen = row(index, {1: 10, 2: 10})
+        assert seen.result is not None
+        known = index < 6 or index >= 20
+        rows.append(replace(seen, result=replace(seen.result, scene=place if known else None)))
+    events = said(settings.event_rules(Minimum(), 4), rows)
+    assert told(events) == [(20, (1, 2)), (20, (1, 2))]
