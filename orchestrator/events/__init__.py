@@ -1,7 +1,8 @@
 """What happens in a stream, as events: in a file of its record, and sent to whoever waits for them.
 
-Read :mod:`.zones` (what is asked for), :mod:`.happenings` (the pure state machine), :mod:`.event_file` and
-:mod:`.stream_events` (the part of the record), then :mod:`.targets` and :mod:`.delivery` (sending, in the
-run's own process). :mod:`.scene` finds the scene again under a moving camera, by :mod:`.views` of it;
+Read :mod:`.zones` and :mod:`.rules` (what is asked for), :mod:`.happenings` and :mod:`.rule_machine` (the
+pure state machine, whose state is in :mod:`.event_state`), :mod:`.event_file` and :mod:`.stream_events` (the
+part of the record), then :mod:`.event_filter`, :mod:`.targets` and :mod:`.delivery` (sending, in the run's
+own process). :mod:`.scene` finds the scene again under a moving camera, by :mod:`.views` of it;
 :mod:`.pictures` are those of events, and :mod:`.recent` are the newest ones, for page and report.
 """

@@ -22,6 +22,8 @@ EventKind = Literal[
     "stream lost",
     "stream back",
     "configured",
+    "rule",
+    "fault",
 ]
 
 
@@ -41,14 +43,25 @@ class Event:
     region : Region, optional
         The object's box in that frame, or in the last one that showed it.
     zone : str, optional
-        Of ``entered``, ``left`` and ``crossed``.
+        Of ``entered``, ``left`` and ``crossed``; the last one of a rule, and the one at fault.
     direction : {"left", "right"}, optional
-        Of ``crossed``; see :func:`orchestrator.events.zones.crossing`.
+        Of ``crossed``; see :func:`orchestrator.events.ground.crossing`.
     reason : str, optional
-        Of ``hidden`` and ``ended``, and of ``left`` if the zone is gone; of ``configured`` the digest of the
-        rules, so that two changes between two pictures are two events.
+        Of ``hidden`` and ``ended``, and of ``left`` if the zone is gone; of ``fault`` what cannot work, and
+        why; of ``configured`` the digest of the rules, so that two changes between two pictures are two
+        events.
     replaced_by : int, optional
         The object in its place.
+    rule : str, optional
+        Name of the rule that is met, or at fault.
+    objects : tuple of int, optional
+        Of ``rule``, all objects by which it is met, ascending.
+    score : float, optional
+        Of the object's newest mask, 0 to 1.
+    area : int, optional
+        Of that, px.
+    seconds : float, optional
+        Of ``left`` and of a rule of kind ``dwell`` how long the object was in the zone, otherwise its age, s.
     """
 
     kind: EventKind
@@ -60,3 +73,8 @@ class Event:
     direction: Literal["left", "right"] | None = None
     reason: str | None = None
     replaced_by: int | None = None
+    rule: str | None = None
+    objects: tuple[int, ...] | None = None
+    score: float | None = None
+    area: int | None = None
+    seconds: float | None = None

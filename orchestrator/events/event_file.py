@@ -23,7 +23,8 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from orchestrator.events.event import Event, EventKind
-from orchestrator.events.happenings import EventState, Happenings
+from orchestrator.events.event_state import EventState
+from orchestrator.events.happenings import Happenings
 from orchestrator.events.pictures import picture_name
 from orchestrator.events.zones import EventRules
 from orchestrator.rows.frame_row import FrameRow
@@ -36,7 +37,7 @@ EVENTS = "events.jsonl"
 _MARKS = ".events"
 
 #: Events of an object that have a picture, if the stream has zones.
-_PICTURED = frozenset[EventKind](("born", "entered", "left", "crossed"))
+_PICTURED = frozenset[EventKind](("born", "entered", "left", "crossed", "rule"))
 
 
 @dataclass(slots=True)
@@ -219,7 +220,7 @@ class _EventLines:
         elif step.row is None:
             events = self._happenings.silent()
         else:
-            events = self._happenings.after(step.row)
+            events = self._happenings.after(step.row, self.taken_at(step.row.pts))
         return self._lines(events, step.row)
 
     def at_end(self) -> list[str]:
@@ -255,6 +256,11 @@ class _EventLines:
             "box": None if event.region is None else list(event.region.box),
             "zone": event.zone,
             "direction": event.direction,
+            "rule": event.rule,
+            "objects": None if event.objects is None else list(event.objects),
+            "score": _rounded(event.score),
+            "area": event.area,
+            "seconds": _rounded(event.seconds),
             "reason": event.reason,
             "replaced_by": event.replaced_by,
             "picture": picture,
@@ -268,8 +274,8 @@ def event_id(stream: str, event: Event) -> str:
     Of a camera, frames that were not committed before a kill are gone, and others get their numbers, but not
     their times.
     """
-    settings = event.reason if event.kind == "configured" else None
-    parts = (stream, event.frame, f"{event.pts:.3f}", event.kind, event.layer, event.zone, settings)
+    name = event.reason if event.kind == "configured" else event.rule
+    parts = (stream, event.frame, f"{event.pts:.3f}", event.kind, event.layer, event.zone, name)
     return "/".join(str(part) for part in parts if part is not None)
 
 
@@ -303,3 +309,7 @@ def _read_marks(path: Path) -> list[_Mark]:
 
 def _iso(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="milliseconds")
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)

@@ -1,25 +1,29 @@
 """The events of each frame: a pure state machine over the rows of a record.
 
-What is said depends on the rows and the rules alone. So a stream that goes back to a row, with the state of
-then, says the same again. Nothing is said of the layer of kind ``other``, which is many objects at once. A
-zone that is fixed to the scene is looked at in the stream's first picture: there it stays where it is.
+What is said depends on the rows, when they were taken, and the rules alone. So a stream that goes back to a
+row, with the state of then, says the same again. Nothing is said of the layer of kind ``other``, which is
+many objects at once. A zone that is fixed to the scene is looked at in the stream's first picture: there it
+stays where it is.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import replace
 
-from mlbs_actors.messages import LayerSummary, Region
-from orchestrator.events.event import Event, EventKind
-from orchestrator.events.zones import EventRules, Zone, crossing, is_inside
-from orchestrator.rows.endings import SEEN, Ending, ending
+from mlbs_actors.messages import LayerSummary
+from orchestrator.events.event import Event
+from orchestrator.events.event_state import Approach, EventState, Followed, Presence
+from orchestrator.events.faults import faults
+from orchestrator.events.ground import crossing, is_inside, on_ground
+from orchestrator.events.rule_machine import rule_events
+from orchestrator.events.zones import EventRules, Zone
+from orchestrator.rows.endings import SEEN, ending
 from orchestrator.rows.frame_row import FrameRow, ResultRow
-from orchestrator.rows.scene_place import Point
 from orchestrator.rows.sighting import Sighting
 
-__all__ = ["HOLD", "EventState", "Happenings"]
+__all__ = ["HOLD", "Happenings"]
 
 #: Label maps in a row that must agree before an object is hidden, in a zone, out of it, or beyond a line.
 HOLD = 3
@@ -30,115 +34,6 @@ _MOVING = 0.001
 
 #: Label maps in a row before a camera moves, and before it is still: somebody who walks with it sways.
 _HOLD_MOVING, _HOLD_STILL = 3, 10
-
-
-@dataclass(slots=True)
-class Presence:
-    """Whether an object is in a zone.
-
-    Attributes
-    ----------
-    inside : bool
-    since : Sighting, optional
-        Where it came in.
-    contrary : int
-        Label maps in a row that say the opposite.
-    first : Sighting, optional
-        The first of these.
-    """
-
-    inside: bool = False
-    since: Sighting | None = None
-    contrary: int = 0
-    first: Sighting | None = None
-
-
-@dataclass(slots=True)
-class Approach:
-    """On which side of a line an object is.
-
-    Attributes
-    ----------
-    foot : (x, y)
-        Where it last certainly was, px; for a line of the scene in the stream's first picture.
-    beyond : int
-        Label maps in a row that show it on the other side.
-    first : Sighting, optional
-        The first of these.
-    """
-
-    foot: Point
-    beyond: int = 0
-    first: Sighting | None = None
-
-
-@dataclass(slots=True)
-class Followed:
-    """An object that has not ended.
-
-    Attributes
-    ----------
-    born, seen : Sighting
-        The first and the newest.
-    counts : bool
-        Whether it has reached the minimum, so that events were reported.
-    missing : int
-        Label maps since the newest sighting.
-    gone : (int, float), optional
-        Frame and time of the first of these, s.
-    ending : Ending
-        What the first of these tells.
-    hidden : bool
-        Whether that was reported.
-    zones : dict of str to Presence
-    lines : dict of str to Approach
-    """
-
-    born: Sighting
-    seen: Sighting
-    counts: bool = False
-    missing: int = 0
-    gone: tuple[int, float] | None = None
-    ending: Ending = SEEN
-    hidden: bool = False
-    zones: dict[str, Presence] = field(default_factory=dict)
-    lines: dict[str, Approach] = field(default_factory=dict)
-
-
-@dataclass(slots=True)
-class EventState:
-    """All that the next events depend on, besides the rules.
-
-    Attributes
-    ----------
-    shown : ResultRow, optional
-        The newest label map.
-    pts : float
-        Its time, s.
-    objects : dict of int to Followed
-    moving : bool
-        Whether the camera moves.
-    contrary : int
-        Label maps in a row that say the opposite.
-    first : (int, float), optional
-        Frame and time of the first of these, s.
-    lost : bool
-        Whether the source is away.
-    rows : int
-        Of the record so far.
-    newest : float
-        Time of the last of these, s.
-    """
-
-    shown: ResultRow | None = None
-    pts: float = 0.0
-    objects: dict[int, Followed] = field(default_factory=dict)
-    moving: bool = False
-    contrary: int = 0
-    first: tuple[int, float] | None = None
-    lost: bool = False
-    rows: int = 0
-    newest: float = 0.0
 
 
 class Happenings:
@@ -160,8 +55,15 @@ class Happenings:
         self.state = EventState() if state is None else state
         self.rules = rules
 
-    def after(self, row: FrameRow) -> list[Event]:
-        """Return what is certain with the next row of the record, in a fixed order."""
+    def after(self, row: FrameRow, clock: float | None = None) -> list[Event]:
+        """Return what is certain with the next row of the record, in a fixed order.
+
+        Parameters
+        ----------
+        row : FrameRow
+        clock : float, optional
+            When it was taken, seconds since 1970, if known.
+        """
         state = self.state
         state.rows, state.newest = row.frame + 1, row.pts
         if row.status == "gap" and not state.lost:
@@ -179,6 +81,8 @@ class Happenings:
             said += self._missing(number, row, row.result)
         for number in sorted(present):
             said += self._present(present[number], row, row.result)
+        said += faults(self.rules, state, row, row.result, clock)
+        said += rule_events(self.rules, state, said, row, row.result, clock)
         state.shown, state.pts = replace(row.result, stage_ms={}), row.pts
         return said
 
@@ -196,7 +100,7 @@ class Happenings:
         Who is in a zone stays in it until they are certainly out of it, where it is now; and what was not
         certain yet by the rules of before is none.
         """
-        self.rules = rules
+        self.rules, self.state.faults = rules, []
         there = {zone.name: zone.kind for zone in rules.zones}
         last = max(self.state.rows - 1, 0), self.state.newest
         said = [Event("configured", *last, reason=rules.digest)]
@@ -205,8 +109,8 @@ class Happenings:
                 if there.get(name) != "zone":
                     del one.zones[name]
                     if presence.inside and one.counts:
-                        gone = Event("left", *last, number, one.seen.region, name, reason="the zone is gone")
-                        said.append(gone)
+                        left = one.event("left", number, *last, _since(presence))
+                        said.append(replace(left, zone=name, reason="the zone is gone"))
             for presence in one.zones.values():
                 presence.contrary = 0
             one.lines.clear()
@@ -252,7 +156,7 @@ class Happenings:
         if one.missing == HOLD and one.counts and one.gone is not None:
             one.hidden = True
             words, by = one.ending.words, one.ending.by
-            return [Event("hidden", *one.gone, number, one.seen.region, reason=words, replaced_by=by)]
+            return [replace(one.event("hidden", number, *one.gone), reason=words, replaced_by=by)]
         return []
 
     def _ended(self, number: int) -> list[Event]:
@@ -262,19 +166,21 @@ class Happenings:
         (frame, pts), words = (one.seen.frame, one.seen.pts), "end of the stream"
         if one.gone is not None:
             (frame, pts), words = one.gone, one.ending.words
-        common = Event("left", frame, pts, number, one.seen.region)
-        return [
-            *(replace(common, zone=zone) for zone, presence in one.zones.items() if presence.inside),
-            replace(common, kind="ended", reason=words, replaced_by=one.ending.by),
+        said = [
+            replace(one.event("left", number, frame, pts, _since(presence)), zone=zone)
+            for zone, presence in one.zones.items()
+            if presence.inside
         ]
+        ended = one.event("ended", number, frame, pts)
+        return [*said, replace(ended, reason=words, replaced_by=one.ending.by)]
 
     def _present(self, layer: LayerSummary, row: FrameRow, result: ResultRow) -> list[Event]:
         number, here = layer.layer, Sighting.of(layer, row)
         one = self.state.objects.setdefault(number, Followed(born=here, seen=here))
-        said = []
-        if one.hidden:
-            said.append(Event("back", here.frame, here.pts, number, here.region))
+        was_hidden = one.hidden
         one.seen, one.missing, one.gone, one.ending, one.hidden = here, 0, None, SEEN, False
+        one.score, one.area = float(layer.score), int(layer.area)
+        said = [one.event("back", number, here.frame, here.pts)] if was_hidden else []
         for zone in self.rules.zones:
             follow = _crossed if zone.kind == "line" else _moved
             said += follow(zone, one, number, result)
@@ -283,8 +189,8 @@ class Happenings:
         one.counts = self._reaches_minimum(one, layer, row, result)
         if not one.counts:
             return []
-        born = Event("born", one.born.frame, one.born.pts, number, one.born.region)
-        return [born, *_inside_already(one, number)]
+        born = one.event("born", number, one.born.frame, one.born.pts)
+        return [replace(born, region=one.born.region), *_inside_already(one, number)]
 
     def _reaches_minimum(self, one: Followed, layer: LayerSummary, row: FrameRow, result: ResultRow) -> bool:
         least = self.rules.minimum
@@ -300,7 +206,7 @@ class Happenings:
 def _moved(zone: Zone, one: Followed, number: int, result: ResultRow) -> Iterator[Event]:
     """Yield that the object went into a zone, or out of it."""
     here, presence = one.seen, one.zones.setdefault(zone.name, Presence())
-    known = _on_ground(here.region, zone, result)
+    known = on_ground(here.region, zone, result)
     if known is None:
         return
     if is_inside(*known) == presence.inside:
@@ -313,13 +219,15 @@ def _moved(zone: Zone, one: Followed, number: int, result: ResultRow) -> Iterato
         presence.inside, presence.contrary = not presence.inside, 0
         if presence.inside:
             presence.since = first
-        kind: EventKind = "entered" if presence.inside else "left"
-        yield Event(kind, first.frame, first.pts, number, first.region, zone.name)
+            event = one.event("entered", number, first.frame, first.pts)
+        else:
+            event = one.event("left", number, first.frame, first.pts, _since(presence))
+        yield replace(event, region=first.region, zone=zone.name)
 
 
 def _crossed(zone: Zone, one: Followed, number: int, result: ResultRow) -> Iterator[Event]:
     """Yield that the object went over a line."""
-    here, known = one.seen, _on_ground(one.seen.region, zone, result)
+    here, known = one.seen, on_ground(one.seen.region, zone, result)
     if known is None:
         return
     foot, line = known
@@ -332,27 +240,17 @@ def _crossed(zone: Zone, one: Followed, number: int, result: ResultRow) -> Itera
         if approach.beyond < HOLD:
             return
         if (first := approach.first) is not None:
-            yield Event(
-                "crossed", first.frame, first.pts, number, first.region, zone.name, direction=direction
-            )
+            event = one.event("crossed", number, first.frame, first.pts)
+            yield replace(event, region=first.region, zone=zone.name, direction=direction)
     approach.foot, approach.beyond = foot, 0
 
 
 def _inside_already(one: Followed, number: int) -> Iterator[Event]:
     for zone, presence in one.zones.items():
         if presence.inside and (since := presence.since) is not None:
-            yield Event("entered", since.frame, since.pts, number, since.region, zone)
+            event = one.event("entered", number, since.frame, since.pts)
+            yield replace(event, region=since.region, zone=zone)
 
 
-def _on_ground(region: Region, zone: Zone, result: ResultRow) -> tuple[Point, Sequence[Point]] | None:
-    """Return where something stands, and a zone's corners, px; None while the zone's place is unknown.
-
-    It stands where the middle of its box's lowest row of pixels is.
-    """
-    foot = region.x + region.width / 2, region.y + region.height - 0.5
-    if zone.fixed_to == "picture":
-        return foot, zone.corners(result.shape)
-    in_first = None if result.scene is None else result.scene.back(foot)
-    if result.scene is None or in_first is None:
-        return None
-    return in_first, zone.corners(result.scene.shape)
+def _since(presence: Presence) -> float | None:
+    return None if presence.since is None else presence.since.pts

@@ -12,7 +12,7 @@ from orchestrator.events.event_file import EVENTS
 __all__ = ["RecentEvents", "recent_events"]
 
 #: Most bytes that an event takes, well measured.
-_EVENT_BYTES = 1000
+_EVENT_BYTES = 4000
 
 
 def recent_events(folder: Path, most: int) -> list[dict[str, Any]]:

@@ -1,31 +1,35 @@
-"""Zones, lines and least sizes: what an operator wants events of, from a YAML file (``--zones``)."""
+"""Zones, lines, least sizes and rules: what an operator wants events of, from a YAML file (``--zones``)."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.events.object_filter import Strict
+from orchestrator.events.polygons import read_polygon
+from orchestrator.events.rules import Rule, check_rules
 from orchestrator.rows.scene_place import Point
 from orchestrator.yaml_file import faults_of, read_yaml
 
-__all__ = ["EventRules", "Minimum", "StreamRules", "Zone", "ZonesFile", "crossing", "is_inside", "read_zones"]
+__all__ = ["EventRules", "EventSettings", "Minimum", "Zone", "ZonesFile", "read_zones"]
 
 _Coordinate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Minimum(_Strict):
+class Minimum(Strict):
     """What an object must reach, all in one frame, before it has events.
 
     Attributes
@@ -43,7 +47,7 @@ class Minimum(_Strict):
     speed: _NotNegative = 0.0
 
 
-class Zone(_Strict):
+class Zone(Strict):
     """A part of the picture or of the scene, or a line across it.
 
     Attributes
@@ -52,7 +56,8 @@ class Zone(_Strict):
     kind : {"zone", "line"}
     polygon : tuple of (x, y)
         Corners; of a line its points, in order. If all are from 0 to 1, shares of the picture's width and
-        height; else px.
+        height; else px. It may be written in other ways, too: see :func:`.polygons.read_polygon`; and be
+        called ``coordinates``.
     fixed_to : {"picture", "scene"}
         Whether it stays where it is in the picture, or goes with what is there in the stream's first picture;
         in a stream that had no such zone before, in the next picture.
@@ -60,8 +65,26 @@ class Zone(_Strict):
 
     name: Annotated[str, Field(min_length=1, max_length=100)]
     kind: Literal["zone", "line"] = "zone"
-    polygon: tuple[tuple[_Coordinate, _Coordinate], ...]
+    polygon: Annotated[tuple[tuple[_Coordinate, _Coordinate], ...], BeforeValidator(read_polygon)]
     fixed_to: Literal["picture", "scene"] = "picture"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_written(cls, written: Any) -> Any:
+        if isinstance(written, dict) and "coordinates" in written and "polygon" not in written:
+            return {"polygon" if key == "coordinates" else key: value for key, value in written.items()}
+        return written
+
+    @field_validator("polygon")
+    @classmethod
+    def _of_one_unit(cls, polygon: tuple[Point, ...]) -> tuple[Point, ...]:
+        values = [value for point in polygon for value in point]
+        if any(0 < value < 1 for value in values) and max(values) > 1:
+            raise ValueError(
+                f"it has both shares of the picture, from 0 to 1, and px ({max(values):g}); write all values "
+                "as shares, such as [0.5, 1], or all in px, such as [320, 480]"
+            )
+        return polygon
 
     @model_validator(mode="after")
     def _has_extent(self) -> Zone:
@@ -88,6 +111,7 @@ class EventRules:
     minimum : Minimum
     remembered : int
         Label maps without a pixel of an object after which it has ended.
+    rules : tuple of Rule
     settings : str
         What tells all else that the record depends on from other settings.
     """
@@ -95,12 +119,17 @@ class EventRules:
     zones: tuple[Zone, ...] = ()
     minimum: Minimum = field(default_factory=Minimum)
     remembered: int = 30
+    rules: tuple[Rule, ...] = ()
     settings: str = ""
 
     @property
     def digest(self) -> str:
         """Sixteen hexadecimal digits that tell them from others."""
-        return hashlib.sha256(_RULES.dump_json(self)).hexdigest()[:16]
+        # Records of before there were these have the digests of what is left without them.
+        text = _RULES.dump_json(
+            self, exclude={key for key in ("rules", "settings") if not getattr(self, key)}
+        )
+        return hashlib.sha256(text).hexdigest()[:16]
 
     @property
     def of_scene(self) -> bool:
@@ -111,26 +140,36 @@ class EventRules:
 _RULES = TypeAdapter(EventRules)
 
 
-class StreamRules(_Strict):
-    """What a file says of one stream."""
+class EventSettings(Strict):
+    """What an operator writes of one stream, below its name.
+
+    Attributes
+    ----------
+    zones : tuple of Zone
+    minimum : Minimum, optional
+        By default that of all streams.
+    rules : tuple of Rule
+    """
 
     zones: tuple[Zone, ...] = ()
     minimum: Minimum | None = None
-
-    def as_event_rules(self, remembered: int) -> EventRules:
-        """Return what the events of the stream depend on; see :class:`EventRules` for ``remembered``."""
-        return EventRules(self.zones, self.minimum or Minimum(), remembered)
+    rules: tuple[Rule, ...] = ()
 
     @model_validator(mode="after")
-    def _names_once(self) -> StreamRules:
+    def _fits_together(self) -> EventSettings:
         names = [zone.name for zone in self.zones]
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise ValueError(f"two zones are named {twice!r}")
+        check_rules(self.rules, {zone.name: zone.kind for zone in self.zones})
         return self
 
+    def event_rules(self, minimum: Minimum, remembered: int) -> EventRules:
+        """Return what the events depend on; ``minimum`` is that of all streams."""
+        return EventRules(self.zones, self.minimum or minimum, remembered, self.rules)
 
-class _Content(_Strict):
-    streams: dict[str, StreamRules] = {}
+
+class _Content(Strict):
+    streams: dict[str, EventSettings] = Field(default_factory=dict)
     minimum: Minimum = Minimum()
 
 
@@ -166,10 +205,8 @@ class ZonesFile:
 
     def rules_of(self, stream: str, remembered: int) -> EventRules:
         """Return the rules of a stream; see :class:`EventRules` for ``remembered``."""
-        own = self.content.streams.get(stream, StreamRules())
-        if own.minimum is None:
-            own = own.model_copy(update={"minimum": self.content.minimum})
-        return own.as_event_rules(remembered)
+        own = self.content.streams.get(stream, EventSettings())
+        return own.event_rules(self.content.minimum, remembered)
 
 
 def read_zones(path: Path) -> ZonesFile:
@@ -190,45 +227,3 @@ def read_zones(path: Path) -> ZonesFile:
         lines = "\n".join(f"  line {line}: {words}" for line, words in faults.items())
         raise ConfigError(f"--zones: {path} cannot be used:\n{lines}") from None
     return ZonesFile(path.absolute(), file.text, content)
-
-
-def is_inside(point: Point, corners: Sequence[Point]) -> bool:
-    """Whether a point is inside a polygon, by the even-odd rule."""
-    x, y = point
-    inside = False
-    for (ax, ay), (bx, by) in zip(corners, [*corners[1:], corners[0]], strict=True):
-        if (ay > y) != (by > y) and x < ax + (y - ay) / (by - ay) * (bx - ax):
-            inside = not inside
-    return inside
-
-
-def crossing(start: Point, end: Point, line: Sequence[Point]) -> Literal["left", "right"] | None:
-    """Tell to which side of a line a straight way leads.
-
-    Parameters
-    ----------
-    start, end : (x, y)
-        Of the way.
-    line : sequence of (x, y)
-        At least two points.
-
-    Returns
-    -------
-    {"left", "right"} or None
-        The side on which the way ends, as seen by somebody who looks along the line from its first point;
-        None if it crosses the line not at all, or back and forth.
-    """
-    crossed = [side for a, b in pairwise(line) if (side := _side(start, end, a, b)) is not None]
-    return crossed[-1] if len(crossed) % 2 else None
-
-
-def _side(start: Point, end: Point, a: Point, b: Point) -> Literal["left", "right"] | None:
-    # A point on the line belongs to one of its sides, so that each crossing counts once.
-    before, after = _turn(a, b, start) >= 0, _turn(a, b, end) >= 0
-    if before == after or (_turn(start, end, a) >= 0) == (_turn(start, end, b) >= 0):
-        return None
-    return "right" if after else "left"  # y points downwards
-
-
-def _turn(a: Point, b: Point, c: Point) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

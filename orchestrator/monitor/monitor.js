@@ -82,7 +82,9 @@ function describe(event) {
   const when = event.clock ? new Date(event.clock).toLocaleTimeString() : `${event.time.toFixed(1)} s`;
   const who = event.object === null ? "" : ` ${event.object}`;
   const where = event.zone === null ? "" : ` ${event.zone}`;
-  return `${when}:${who} ${event.kind}${where}${event.direction ? ` to the ${event.direction}` : ""}`;
+  if (event.kind === "fault") return `${when}: ${event.reason}`;
+  const what = event.kind === "rule" ? event.rule : event.kind;
+  return `${when}:${who} ${what}${where}${event.direction ? ` to the ${event.direction}` : ""}`;
 }
 
 function listEvents(box, stream) {

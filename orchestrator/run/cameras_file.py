@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, SourceError
 from orchestrator.credentials import mask
-from orchestrator.events.zones import StreamRules
+from orchestrator.events.zones import EventSettings
 from orchestrator.options import Form, options
 from orchestrator.run.listed_stream import ListedStream, OwnSettings, StreamsFile, check_name
 from orchestrator.sources.address import SourceAddress, parse_address
@@ -137,12 +137,12 @@ class _Parser:
                 complete &= key in before.options
                 if key in before.options:
                     values[key] = before.options[key]
-        for key in entry.keys() - _OPTIONS.keys() - StreamRules.model_fields.keys():
-            known = ", ".join([*_OPTIONS, *StreamRules.model_fields])
+        for key in entry.keys() - _OPTIONS.keys() - EventSettings.model_fields.keys():
+            known = ", ".join([*_OPTIONS, *EventSettings.model_fields])
             self._fault([*place, str(key)], f"there is no key {key!r}; known are source, was, {known}")
-        asked = {key: whole[key] for key in StreamRules.model_fields if key in whole}
+        asked = {key: whole[key] for key in EventSettings.model_fields if key in whole}
         try:
-            rules = StreamRules.model_validate(asked) if asked else None
+            rules = EventSettings.model_validate(asked) if asked else None
         except ValidationError as invalid:
             self.faults |= faults_of(self.file.tree, invalid, place)
             rules, complete = before.rules, complete and before.rules is not None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mlbs_actors.errors import ConfigError
-from orchestrator.events.zones import StreamRules
+from orchestrator.events.zones import EventSettings
 from orchestrator.sources.address import SourceAddress
 
 __all__ = ["MAX_NAME_BYTES", "RESERVED_NAMES", "ListedStream", "OwnSettings", "StreamsFile", "check_name"]
@@ -24,12 +24,12 @@ class OwnSettings:
     ----------
     options : mapping of str to object
         Values of options by the name of their field in :class:`~orchestrator.options.Arguments`.
-    rules : StreamRules, optional
+    rules : EventSettings, optional
         Zones, and what is asked of objects.
     """
 
     options: Mapping[str, Any] = field(default_factory=dict)
-    rules: StreamRules | None = None
+    rules: EventSettings | None = None
 
 
 @dataclass(frozen=True, slots=True)

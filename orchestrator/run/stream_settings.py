@@ -84,7 +84,7 @@ def settings_of(stream: ListedStream, arguments: Arguments, config: Config) -> S
     remembered = config.layers.dormant_frames
     rules = arguments.zones.rules_of(stream.name, remembered)
     if stream.own.rules is not None:
-        rules = stream.own.rules.as_event_rules(remembered)
+        rules = stream.own.rules.event_rules(arguments.zones.content.minimum, remembered)
     values |= {
         "config": config,
         "ignore": ignored.file_of(stream.name),

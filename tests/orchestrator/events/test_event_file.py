@@ -12,10 +12,11 @@ import pytest
 from record_fakes import frame, segmentation
 
 from mlbs_actors.actors.stream.protocol import Snapshot
+from orchestrator.events.rules import Rule
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.sinks.record import StreamRecord
 
-ZONE = Zone(name="middle", polygon=((10, 0), (20, 0), (20, 40), (10, 40)))
+ZONE = Zone(name="middle", polygon=((10, 0), (20, 0), (20, 36), (10, 36)))
 RULES = EventRules((ZONE,), remembered=4)
 SAVE = frozenset({"parquet"})
 FRAMES = 100
@@ -72,6 +73,11 @@ def test_a_line_holds_what_happened(whole: bytes) -> None:
         "box": [6, 5, 8, 10],
         "zone": "middle",
         "direction": None,
+        "rule": None,
+        "objects": None,
+        "score": 0.5,
+        "area": 80,
+        "seconds": 0.6,
         "reason": None,
         "replaced_by": None,
         "picture": "events/00000008-3.jpg",
@@ -178,7 +184,7 @@ def in_zones(events: list[dict[str, Any]]) -> list[tuple[str, int, str, str | No
     return [tuple(one[key] for key in keys) for one in events if one["object"] == 3 and one["zone"]]
 
 
-RIGHT = ((24, 0), (34, 0), (34, 40), (24, 40))
+RIGHT = ((24, 0), (34, 0), (34, 36), (24, 36))
 
 
 @pytest.mark.parametrize("name", ["middle", "right"])
@@ -253,3 +259,84 @@ def test_events_of_a_camera_have_the_time_of_day_at_which_it_took_their_frames(t
     clocks = {event["kind"]: event["clock"] for event in lines(tmp_path)}
     assert clocks["born"] == "2001-09-09T01:46:40.000+00:00"
     assert clocks["entered"] == "2001-09-09T01:46:40.600+00:00"  # frame 6
+
+
+STAYS = Rule.model_validate(
+    {
+        "name": "stays at noon",
+        "dwell": {"zone": "middle", "seconds": 0.5},
+        "cool_down": 5,
+        "schedule": {"from": "12:00", "to": "13:00", "timezone": "UTC"},
+    }
+)
+
+#: 2026-06-01, 12:00 UTC.
+NOON = 1_780_315_200.0
+
+
+def test_a_rule_has_a_line_of_its_own_with_a_picture(tmp_path: Path) -> None:
+    one = record(tmp_path, live=True, rules=replace(RULES, rules=(STAYS,)))
+    for index in range(FRAMES):
+        one.write(segmentation(index, 3), replace(frame(index), taken=NOON + index / 10))
+    first, second = (event for event in lines(tmp_path) if event["kind"] == "rule")
+    assert first | {"number": 0} == {
+        "id": "yard/11/1.100/rule/3/middle/stays at noon",
+        "stream": "yard",
+        "kind": "rule",
+        "frame": 11,
+        "time": 1.1,
+        "clock": "2026-06-01T12:00:01.100+00:00",
+        "object": 3,
+        "box": [11, 5, 8, 10],
+        "zone": "middle",
+        "direction": None,
+        "rule": "stays at noon",
+        "objects": [3],
+        "score": 0.5,
+        "area": 80,
+        "seconds": 0.5,
+        "reason": None,
+        "replaced_by": None,
+        "picture": "events/00000011-3.jpg",
+        "number": 0,
+    }
+    assert second["frame"] == 71
+    assert (tmp_path / first["picture"]).exists()
+
+
+@pytest.mark.parametrize("killed_after", [9, 13, 60, 71, 73])
+def test_the_cool_down_of_a_rule_outlives_a_kill(tmp_path: Path, killed_after: int) -> None:
+    rules = replace(RULES, rules=(STAYS.model_copy(update={"schedule": None}),))
+    said = []
+    for name, kill in (("whole", 0), ("killed", killed_after)):
+        write(record(tmp_path / name, rules=rules), 0, kill)
+        one = record(tmp_path / name, rules=rules)
+        write(one, 0, FRAMES)
+        one.close(whole=True)
+        said.append((tmp_path / name / "events.jsonl").read_bytes())
+    assert said[0] == said[1]
+    assert said[0].count(b'"kind": "rule"') == 2
+
+
+def test_seconds_of_left_are_those_in_the_zone(whole: bytes) -> None:
+    said = [json.loads(line) for line in whole.splitlines()]
+    [entered, left, *_] = [one for one in said if one["object"] == 3 and one["zone"] is not None]
+    assert (entered["kind"], left["kind"]) == ("entered", "left")
+    assert left["seconds"] == pytest.approx(left["time"] - entered["time"])
+    assert entered["seconds"] == entered["time"]  # born in the first frame
+
+
+def test_marks_of_an_earlier_version_are_gone_on_from(tmp_path: Path, whole: bytes) -> None:
+    write(record(tmp_path), 0, 40)
+    marks = json.loads((tmp_path / ".events").read_bytes())
+    for mark in marks:
+        for key in ("rules", "faults"):
+            del mark["state"][key]
+        for one in mark["state"]["objects"].values():
+            del one["score"], one["area"]
+    (tmp_path / ".events").write_text(json.dumps(marks))
+    again = record(tmp_path)
+    write(again, 0, FRAMES)
+    again.close(whole=True)
+    masks = {"score": None, "area": None}  # of an object that is away, the newest mask is not known
+    assert [one | masks for one in lines(tmp_path)] == [json.loads(one) | masks for one in whole.splitlines()]

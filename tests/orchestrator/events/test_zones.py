@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+import yaml
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.command import run_command
 from orchestrator.events.event import EventKind
-from orchestrator.events.zones import crossing, is_inside, read_zones
+from orchestrator.events.ground import crossing, is_inside
+from orchestrator.events.zones import EventRules, EventSettings, Minimum, Zone, read_zones
 
 GOOD = """
 minimum: {area: 50}
@@ -22,6 +24,11 @@ streams:
       - name: yard
         polygon: [[0, 0.5], [1, 0.5], [1, 1], [0, 1]]
       - {name: fence, kind: line, polygon: [[10, 20], [300, 20]]}
+    rules:
+      - {name: stays, dwell: {zone: yard, seconds: 10}}
+      - {name: goes in, sequence: [{fence: right}, yard], within: 30}
+      - {name: queue, count: {zone: yard, at_least: 3, seconds: 20}}
+      - {name: rush, count: {line: fence, at_least: 9, within: 60}}
   door: {zones: []}
 """
 
@@ -53,11 +60,23 @@ def test_shares_and_pixels_and_least_sizes_are_read(tmp_path: Path) -> None:
         (("[0, 1]]", "[0, 1.0, 2]]"), r"line 8: streams\.gate\.zones\.0\.polygon\.3"),
         (
             ("seconds: 0.5", "seconds: -1"),
-            r"line 4: streams\.gate\.minimum\.seconds: .*greater than or equal",
+            r"line 5: streams\.gate\.minimum\.seconds: .*greater than or equal",
         ),
         (("name: fence", "name: yard"), r"line 4: streams\.gate: two zones are named 'yard'"),
-        (("door:", "gate:"), r"line 10: 'gate' stands there twice"),
+        (("door:", "gate:"), r"line 15: 'gate' stands there twice"),
         (("[10, 20]", "[10, 20"), r"line 9: "),
+        (("0.5], [1, 0.5]", "0.5], [640, 0.5]"), r"line 8: .*polygon: it has both shares .* and px \(640\)"),
+        (("name: stays", "name: rush"), r"line 4: streams\.gate: two rules are named 'rush'"),
+        (("zone: yard, seconds: 10", "zone: yrad, seconds: 10"), r"'stays' names 'yrad', .*'yard', 'fence'"),
+        (("zone: yard, seconds: 10", "zone: fence, seconds: 10"), r"'stays' needs a zone; 'fence' is none"),
+        (("line: fence, at", "line: yard, at"), r"'rush' needs a line; 'yard' is none"),
+        (("{fence: right}", "{yard: right}"), r"'goes in' has a direction of 'yard', which is no line"),
+        (("{fence: right}", "{fence: up}"), r"line 12: .*'left' or 'right'"),
+        ((", within: 30", ""), r"line 12: .*a 'sequence' needs 'within'"),
+        (("at_least: 9, within: 60", "at_least: 9"), r"line 14: .*'within' some seconds"),
+        (("seconds: 20", "within: 20"), r"line 13: .*are of a line"),
+        (("dwell: {zone: yard, seconds: 10}", "cool_down: 3"), r"line 11: .*needs one of 'dwell'"),
+        (("[{fence: right}, yard]", "[yard]"), r"line 12: "),
         ((GOOD, ""), r"is empty"),
     ],
 )
@@ -84,6 +103,18 @@ def test_a_point_is_inside_by_the_even_odd_rule() -> None:
     assert not is_inside((10, 1), bay)
 
 
+def test_the_settings_of_one_stream_are_read_as_they_stand_in_the_file(tmp_path: Path) -> None:
+    entry = yaml.safe_load(GOOD)["streams"]["gate"]
+    rules = EventSettings.model_validate(entry).event_rules(Minimum(), 30)
+    assert rules == read_zones(written(tmp_path, GOOD)).rules_of("gate", 30)
+    assert [rule.name for rule in rules.rules] == ["stays", "goes in", "queue", "rush"]
+
+
+def test_settings_without_rules_have_the_digest_of_before_there_were_rules() -> None:
+    zone = Zone(name="yard", polygon=((0, 0.5), (1, 0.5), (1, 1)))
+    assert EventRules((zone,), Minimum(area=50), 30).digest == "7d4f6fa2faae632f"
+
+
 @pytest.mark.parametrize(
     "text", ["{{ yard }}: x", "streams: {a: {zones: [{name: 2024-99-99}]}}", "&a {x: *a}"]
 )
@@ -107,6 +138,8 @@ def test_the_page_shows_a_file_that_is_accepted_and_every_kind_of_event(tmp_path
     page = (Path(__file__).parents[3] / "docs/events.md").read_text(encoding="utf-8")
     example = page.split("```yaml\n")[1].partition("```")[0]
     assert read_zones(written(tmp_path, example)).rules_of("gate", 30).zones[1].kind == "line"
+    of_rules = page.partition("## Rules")[2].split("```yaml\n")[1].partition("```")[0]
+    assert read_zones(written(tmp_path, of_rules)).rules_of("gate", 30).rules
     rows = page.partition("| `kind` | when |")[2].partition("\n\n")[0].splitlines()[2:]
     kinds = [kind for row in rows for kind in re.findall(r"`([a-z ]+)`", row.split("|")[1])]
     assert sorted(kinds) == sorted(get_args(EventKind))
