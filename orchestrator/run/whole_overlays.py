@@ -7,9 +7,12 @@ maps that do not count any more. Once the stream has ended, it is drawn anew fro
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from orchestrator.events.zones import Zone
+from orchestrator.pictures.content import DEFAULT_DRAWING, Drawing
+from orchestrator.pictures.privacy import is_private
 from orchestrator.run.job import Job
 from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.stream_state import StreamState, has_ended
@@ -27,15 +30,17 @@ def make_all_whole(
     states: Sequence[StreamState],
     folder: RunFolder,
     say: Callable[[str], None],
+    drawing: Drawing = DEFAULT_DRAWING,
 ) -> None:
     """Draw anew the overlays of ended streams that are in parts or, of the streams ``due``, were lost."""
+    drawing = replace(drawing, private=is_private(job.description))
     ended = {state.name for state in states if state.committed and has_ended(state)}
     for spec in job.specs:
         stream = folder.stream(spec.name)
         wanted = is_in_parts(stream) or (spec.name in due and is_lost(stream))
         if not spec.live and spec.name in ended and wanted:
             try:
-                make_whole(stream, spec.source, say, job.rules(spec.name).zones)
+                make_whole(stream, spec.source, say, job.rules(spec.name).zones, drawing)
             except KeyboardInterrupt:
                 say("The overlay stays as it is; to try again, give the same command with --resume.")
                 return
@@ -51,7 +56,13 @@ def is_lost(folder: Path) -> bool:
     return not any(folder.glob("overlay*"))
 
 
-def make_whole(folder: Path, source: str, say: Callable[[str], None], zones: Sequence[Zone] = ()) -> None:
+def make_whole(
+    folder: Path,
+    source: str,
+    say: Callable[[str], None],
+    zones: Sequence[Zone] = (),
+    drawing: Drawing = DEFAULT_DRAWING,
+) -> None:
     """Replace the parts of a stream's overlay by one video; keep them if it cannot be drawn.
 
     Parameters
@@ -64,6 +75,8 @@ def make_whole(folder: Path, source: str, say: Callable[[str], None], zones: Seq
         Takes a sentence for the user.
     zones : sequence of Zone
         Drawn over every frame.
+    drawing : Drawing
+        What is drawn beside them.
     """
     # Imported here, because it imports the engine, which the driver needs for nothing else.
     from orchestrator.export.overlay import draw_overlay
@@ -71,7 +84,7 @@ def make_whole(folder: Path, source: str, say: Callable[[str], None], zones: Seq
     say(f"Drawing the overlay of {folder.name} anew, in one piece.")
     draft = folder / _DRAFT
     try:
-        remarks = draw_overlay(folder, source, draft, zones)
+        remarks = draw_overlay(folder, source, draft, zones, drawing)
         if remarks:
             say(f"The overlay of {folder.name} stays as it is. {' '.join(remarks)}")
             return

@@ -18,9 +18,9 @@ from mlbs_actors.source import SourceFrame
 from orchestrator.export.__main__ import main
 from orchestrator.export.recorded_stream import RecordedFrame
 from orchestrator.export.replay import InspectedFrame
+from orchestrator.pictures.layer_colours import layer_colour
 from orchestrator.run.run_folder import RunFolder, RunSettings, describe_run
 from orchestrator.run.stream_list import ListedStream
-from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.synthetic import scene

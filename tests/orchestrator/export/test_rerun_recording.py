@@ -16,9 +16,9 @@ from record_fakes import HEIGHT, WIDTH, write_stream
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
 from orchestrator.export.__main__ import main
+from orchestrator.pictures.layer_colours import layer_colour
 from orchestrator.run.run_folder import RunFolder, RunSettings, describe_run
 from orchestrator.run.stream_list import ListedStream
-from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.synthetic import scene
 
