@@ -20,6 +20,7 @@ _LINE_PX = 1 / 360  # width of an outline against the picture's shorter side
 _TEXT_PX = 1 / 28  # height of a digit against the picture's shorter side
 _LEAST_TEXT_PX = 12
 _LEAST_CAPTION_PX = 6
+_LEAST_NAME_PX = 11
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _FONT_PX = 22  # height of this font's digits at scale 1
 
@@ -110,7 +111,7 @@ def draw_outlines(image: Array, outlines: Iterable[Outline]) -> None:
         for colour, width in (((0, 0, 0), 3), (_OUTLINE, 1)):
             cv2.polylines(image, [corners], outline.closed, colour, width, cv2.LINE_AA)
         x, y = corners.mean(axis=0).round().astype(int).tolist()
-        _write(image, outline.name, (x, y), _text_height(image) * 2 // 3)
+        _write(image, outline.name, (x, y), max(_text_height(image) * 2 // 3, _LEAST_NAME_PX))
 
 
 def draw_box(image: Array, box: tuple[int, int, int, int], layer: int, *, ids: bool = True) -> None:

@@ -31,6 +31,9 @@ _BLOCKS = 6
 
 _LEAST_BLOCK = 8  # px
 
+#: Less motion of the camera is not followed.
+_STILL_PX = 0.5
+
 
 def is_private(description: Mapping[str, Any]) -> bool:
     """Whether a run with this ``run.json`` hides what moves."""
@@ -83,15 +86,27 @@ class MovingArea:
             there = np.linalg.solve(back, there)
             _add(objects, there, hidden)
         margin = math.ceil(min(hidden.shape) * _MARGIN)
-        return np.asarray(cv2.dilate(hidden, np.ones((2 * margin + 1,) * 2, np.uint8)))
+        # Gaps of up to two margins between what is hidden are hidden, too: limbs show through them.
+        wide = cv2.dilate(hidden, np.ones((4 * margin + 1,) * 2, np.uint8))
+        return np.asarray(cv2.erode(wide, np.ones((2 * margin + 1,) * 2, np.uint8)))
 
 
 def _add(objects: Array, there: Array, hidden: Array) -> None:
     """Add the objects of another frame of that size, to which a homography leads, in place."""
     if objects.shape != hidden.shape or not objects.any():
         return
-    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    hidden |= np.asarray(cv2.warpPerspective(objects, there, hidden.shape[::-1], flags=flags))
+    height, width = hidden.shape
+    if _moves(there, height, width):
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        objects = np.asarray(cv2.warpPerspective(objects, there, (width, height), flags=flags))
+    hidden |= objects
+
+
+def _moves(there: Array, height: int, width: int) -> bool:
+    """Whether a homography moves a corner of the picture by half a pixel: mostly a camera stands still."""
+    corners = np.array([[0, width, 0, width], [0, 0, height, height], [1, 1, 1, 1]], np.float64)
+    moved = there @ corners
+    return bool(np.abs(moved[:2] / moved[2] - corners[:2]).max() >= _STILL_PX)
 
 
 def blurred(image: Array, mask: Array) -> Array:

@@ -107,3 +107,11 @@ def test_each_thing_is_blurred_by_itself() -> None:
     mask = np.zeros(SHAPE, np.uint8)
     mask[10:50, 5:40] = mask[20:60, 80:110] = 1
     np.testing.assert_array_equal(blurred(image, mask), image)
+
+
+def test_a_narrow_gap_between_things_is_hidden_and_a_wide_one_is_not() -> None:
+    moving = MovingArea()
+    moving.follow(labels((10, 30, 20, 40), (36, 30, 20, 40), (80, 30, 20, 40)), None)
+    mask = moving.mask()
+    assert mask[50, 8:58].all()
+    assert not mask[50, 62:76].any()
