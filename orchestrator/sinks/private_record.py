@@ -16,7 +16,6 @@ from mlbs_actors.actors.stream.protocol import Opening, Snapshot, StreamSink
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from mlbs_actors.source import GapStatus, SourceFrame
 from orchestrator.pictures.privacy import FRAMES_AFTER, MovingArea, blurred
-from orchestrator.working_size import labels_in_size
 
 __all__ = ["PrivateRecord"]
 
@@ -144,6 +143,5 @@ def _hidden(frame: SourceFrame, mask: Array) -> SourceFrame:
     picture = frame.image if frame.original is None else frame.original
     if picture is None:
         return frame
-    height, width = picture.shape[:2]
-    shown = blurred(picture, labels_in_size(mask, (height, width)))
+    shown = blurred(picture, mask)
     return replace(frame, image=shown, original=None if frame.original is None else shown)

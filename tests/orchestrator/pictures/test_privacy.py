@@ -115,3 +115,21 @@ def test_a_narrow_gap_between_things_is_hidden_and_a_wide_one_is_not() -> None:
     mask = moving.mask()
     assert mask[50, 8:58].all()
     assert not mask[50, 62:76].any()
+
+
+@pytest.mark.parametrize("shape", [(480, 640), (361, 477), (1080, 1920)])
+def test_of_a_large_picture_every_pixel_within_most_of_the_margin_is_hidden(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(4)
+    image = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
+    made, (height, width) = np.zeros(shape, np.uint16), shape
+    made[height // 3 : height // 2, width // 4 : width // 3] = 7
+    made[5, width - 3] = 2
+    moving = MovingArea()
+    moving.follow(made, None)
+    changed = (blurred(image, moving.mask()) != image).any(axis=2)
+    reach = round(min(shape) / 48 * 0.7)
+    near = cv2.dilate((made > 0).view(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
+    assert changed[near].mean() > 0.99
+    reach = round(min(shape) / 48 * 2)
+    far = cv2.dilate((made > 0).view(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) == 0
+    assert not changed[far].any()
