@@ -1,7 +1,8 @@
 """The record of a stream that hides what moves: no part of it gets a picture that shows it.
 
 Frames are held back until the label maps of the next few are known, so that objects are hidden a little
-before they have their first label. All else is as without: rows come in the same order, only later.
+before they have their first label. All else is as without: rows come in the same order, only later. Nothing
+of it is kept: after a return to a snapshot the first frames are hidden by their own and later label maps.
 """
 
 from __future__ import annotations
