@@ -85,6 +85,8 @@ def _refuse_together(arguments: Arguments) -> None:
         raise ConfigError(
             "--watch reads a list again; write your sources into one and name it with --streams."
         )
+    if arguments.private and "cutouts" in arguments.save:
+        raise ConfigError("--save cutouts cuts out what --private hides; leave one of them out.")
     if arguments.ray_metrics and arguments.address is not None:
         raise ConfigError(
             "With --address metrics come from ports of the cluster; give --ray-metrics without PORT."

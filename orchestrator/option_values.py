@@ -10,6 +10,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from orchestrator.credentials import mask
 from orchestrator.log import FORMATS, LogFormat
@@ -20,13 +21,17 @@ if TYPE_CHECKING:
     from orchestrator.ignored import Ignored
     from orchestrator.run.retention_limits import Keep
 
-__all__ = ["LEAST_SIDE", "SAVABLE", "SAVED"]
+__all__ = ["DRAWABLE", "DRAWN", "LEAST_SIDE", "SAVABLE", "SAVED"]
 
 #: The parts of a record that ``--save`` can name.
 SAVABLE = ("masks", "parquet", "overlay", "background", "cutouts")
 
 #: The default of ``--save``.
 SAVED = SAVABLE[:3]
+
+#: What can be drawn over pictures beside the objects, and what is by default.
+DRAWABLE = ("ids", "zones", "frame", "clock")
+DRAWN = DRAWABLE[:3]
 
 #: Least ``--max-side``, px: in smaller pictures there is hardly a trajectory.
 LEAST_SIDE = 64
@@ -101,12 +106,30 @@ def cluster_address(text: str) -> str:
 
 def parts(text: str) -> frozenset[str]:
     """Read parts of a record, with commas."""
+    return _chosen(text, SAVABLE)
+
+
+def drawn(text: str) -> frozenset[str]:
+    """Read what pictures show, with commas; nothing if it is empty."""
+    return _chosen(text, DRAWABLE) if text else frozenset()
+
+
+def _chosen(text: str, known: Sequence[str]) -> frozenset[str]:
     names = [part.strip() for part in text.split(",")]
     for name in names:
-        if name not in SAVABLE:
+        if name not in known:
             asked = f"knows no {name!r}" if name else "names nothing"
-            raise ValueError(f"{asked}; choose from {', '.join(SAVABLE)}.")
+            raise ValueError(f"{asked}; choose from {', '.join(known)}.")
     return frozenset(names)
+
+
+def time_zone(text: str) -> str:
+    """Read the name of a time zone."""
+    try:
+        ZoneInfo(text)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise ValueError(f"knows no {text!r}; give a name such as Europe/Berlin or UTC.") from None
+    return text
 
 
 def monitor_address(text: str) -> MonitorAddress:

@@ -185,6 +185,42 @@ class Arguments:
             page="outputs.md",
         ),
     ] = frozenset(values.SAVED)
+    draw: Annotated[
+        frozenset[str],
+        Option(
+            f"what overlays and other pictures show beside the objects: any of {', '.join(values.DRAWABLE)}, "
+            'with commas, or "" for nothing (default: the first three)',
+            "WHAT",
+            read=values.drawn,
+            write=lambda drawn: [",".join(what for what in values.DRAWABLE if what in drawn)],
+            effect=Effect.RESTART,
+            of_streams=True,
+            page="outputs.md#what-pictures-show",
+        ),
+    ] = frozenset(values.DRAWN)
+    time_zone: Annotated[
+        str | None,
+        Option(
+            "time zone of the times in pictures, such as Europe/Berlin (default: that of this machine)",
+            "NAME",
+            read=values.time_zone,
+            write=values.one_word,
+            effect=Effect.RESTART,
+            of_streams=True,
+            page="outputs.md#what-pictures-show",
+        ),
+    ] = None
+    private: Annotated[
+        bool,
+        Option(
+            "blur what moves in every picture and video that is kept or shown, also just before it is found",
+            form=Form.FLAG,
+            write=values.no_words,
+            record=lambda private: private or None,
+            effect=Effect.FIXED,
+            page="outputs.md#what-moves-made-unrecognisable",
+        ),
+    ] = False
     monitor: Annotated[
         MonitorAddress | None,
         Option(

@@ -42,6 +42,7 @@ from orchestrator.evaluation.sequences import SceneSequence
 from orchestrator.evaluation.sequences import Sequence as TruthSequence
 from orchestrator.evaluation.sizes import size_variants, sizes_table
 from orchestrator.evaluation.variants import Variant, VariantResults, run_variants, variants_as_json
+from orchestrator.pictures.privacy import is_private
 from orchestrator.run.run_folder import read_description
 from orchestrator.run.versions import installed_versions
 from orchestrator.sources.synthetic import SCHEME, scene_from_uri
@@ -106,7 +107,9 @@ def _score_run(options: argparse.Namespace) -> list[VariantResults]:
         raise ConfigError(f"--run scores finished masks: leave {given} out.")
     if not options.run.is_dir():
         raise ConfigError(f"There is no run {options.run}; check the path.")
-    sources = (read_description(options.run) or {}).get("sources", {})
+    description = read_description(options.run) or {}
+    # The pictures of a private run's sources are not for sheets.
+    sources = {} if is_private(description) else description.get("sources", {})
     pairs = [pair for text in options.truth for pair in _streams_with_truth(options.run, text)]
     with_masks = {path.name for path in options.run.glob("*") if _has_masks(path)}
     unscored = with_masks - {name for name, _ in pairs}

@@ -16,8 +16,8 @@ import numpy as np
 from mlbs_actors.messages import Array
 from orchestrator.evaluation.overlap import NOT_JUDGED
 from orchestrator.evaluation.sequence_scorer import ExtraLayer
-from orchestrator.sinks.drawing import draw_labels
-from orchestrator.sinks.layer_colours import layer_colour
+from orchestrator.pictures.drawing import draw_labels
+from orchestrator.pictures.layer_colours import layer_colour
 
 __all__ = ["SheetFrame", "contact_sheet", "extra_layer_sheet", "overlay", "spread_evenly"]
 

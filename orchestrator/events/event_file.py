@@ -107,8 +107,8 @@ class EventFile:
         """Whether there are lines to write."""
         return bool(self._unwritten)
 
-    def add(self, row: FrameRow, taken: float | None) -> set[int]:
-        """Add the next row of the record; return the objects whose pictures the lines name.
+    def add(self, row: FrameRow, taken: float | None) -> dict[int, set[str]]:
+        """Add the next row of the record; return the objects whose pictures the lines name, with their zones.
 
         Parameters
         ----------
@@ -166,7 +166,7 @@ class EventFile:
                 rest = b""
         replace_file(self._path, rest)
 
-    def _take(self, step: _Step) -> set[int]:
+    def _take(self, step: _Step) -> dict[int, set[str]]:
         lines = self._newest.after(step)
         self._unwritten += lines
         self._later.append(step)
@@ -202,7 +202,7 @@ class _EventLines:
     def __init__(self, stream: str, rules: EventRules, mark: _Mark) -> None:
         self._stream = stream
         self._happenings = Happenings(rules, mark.state)
-        self.pictured: set[int] = set()  # objects in the newest row that its lines name pictures of
+        self.pictured: dict[int, set[str]] = {}  # objects that the newest lines name pictures of, their zones
         self._events, self._began = mark.events, mark.began
 
     @property
@@ -234,8 +234,10 @@ class _EventLines:
         here = set()
         if row is not None and row.result is not None and self._happenings.rules.zones:
             here = {layer.layer for layer in row.result.layers}
-        pictured = {event.layer for event in events if event.kind in _PICTURED and event.layer in here}
-        self.pictured = {layer for layer in pictured if layer is not None}
+        self.pictured = {}
+        for event in events:
+            if event.kind in _PICTURED and event.layer is not None and event.layer in here:
+                self.pictured.setdefault(event.layer, set()).update(filter(None, [event.zone]))
         first = self._events + 1
         self._events += len(events)
         described = (self._described(event, row, number) for number, event in enumerate(events, first))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.source import SourceFrame
 from orchestrator.events.event_file import EventFile
-from orchestrator.events.pictures import EventPictures
+from orchestrator.events.outlines import outlines
+from orchestrator.events.pictures import EventPictures, Pictured
 from orchestrator.events.scene import VIEWS, SceneTracker
 from orchestrator.events.zones import EventRules
-from orchestrator.rows.frame_row import FrameRow
+from orchestrator.pictures.content import DEFAULT_DRAWING, Drawing
+from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.storage.durable_files import remove_temporary, temporary_path
 
@@ -29,10 +32,15 @@ class StreamEvents:
     rules : EventRules
     rows : int
         Rows of the record that count.
+    drawing : Drawing
+        What its pictures show.
     """
 
-    def __init__(self, folder: Path, stream: str, rules: EventRules, rows: int) -> None:
+    def __init__(
+        self, folder: Path, stream: str, rules: EventRules, rows: int, drawing: Drawing = DEFAULT_DRAWING
+    ) -> None:
         self._folder = folder
+        self._drawing = drawing
         self._file = EventFile(folder, stream, rules, rows)
         self._pictures: EventPictures | None = None
         self._views = folder / VIEWS
@@ -46,8 +54,9 @@ class StreamEvents:
         self._prepare(rules, rows)
 
     def _prepare(self, rules: EventRules, rows: int) -> None:
+        self._zones = rules.zones
         if self._pictures is None and rules.zones:
-            self._pictures = EventPictures(self._folder)
+            self._pictures = EventPictures(self._folder, ids=self._drawing.ids)
         if self._scene is None and rules.of_scene:
             self._views.mkdir(exist_ok=True)
             remove_temporary(self._views)
@@ -83,8 +92,22 @@ class StreamEvents:
         """
         pictured = self._file.add(row, taken)
         if pictured and self._pictures is not None and row.result is not None and image is not None:
-            shown = [layer for layer in row.result.layers if layer.layer in pictured]
-            self._pictures.write(image, row.frame, shown)
+            time = self._drawing.time(row.pts, self.taken_at(row.pts))
+            self._pictures.write(image, row.frame, time, self._pictured(row.result, pictured))
+
+    def _pictured(self, result: ResultRow, zones_of: Mapping[int, Collection[str]]) -> list[Pictured]:
+        """Return the objects of which pictures are taken, with the outlines of their zones."""
+        zones = self._zones if self._drawing.zones else ()
+        return [
+            Pictured(
+                layer,
+                outlines(
+                    (zone for zone in zones if zone.name in zones_of[layer.layer]), result.shape, result.scene
+                ),
+            )
+            for layer in result.layers
+            if layer.layer in zones_of
+        ]
 
     def silent(self) -> None:
         """Add that the source sends nothing after the rows so far."""

@@ -11,8 +11,11 @@ from rich.progress import track
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
 from orchestrator.events.zones import Zone
-from orchestrator.export.recorded_stream import recorded_stream, streams_of
+from orchestrator.export.recorded_stream import description_of, recorded_stream, streams_of
 from orchestrator.export.replay import with_pictures
+from orchestrator.pictures.content import DEFAULT_DRAWING, Drawing
+from orchestrator.pictures.privacy import is_private
+from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.overlay import OverlayVideo, overlay_remarks
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.sources.address import SourceAddress, parse_address
@@ -40,15 +43,18 @@ def write_overlays(run: Path, out: Path) -> list[str]:
         If no source can be read again.
     """
     remarks = []
+    drawing = Drawing(private=is_private(description_of(run)))
     for name, source in streams_of(run).items():
         if recorded_frames(run / name):
-            remarks += draw_overlay(run / name, source, out / f"{name}.mp4")
+            remarks += draw_overlay(run / name, source, out / f"{name}.mp4", drawing=drawing)
     if not any(out.glob("*.mp4")):
         raise ConfigError(" ".join(remarks) or f"The run in {run} has no label maps to draw.")
     return remarks
 
 
-def draw_overlay(stream: Path, source: str, path: Path, zones: Sequence[Zone] = ()) -> list[str]:
+def draw_overlay(
+    stream: Path, source: str, path: Path, zones: Sequence[Zone] = (), drawing: Drawing = DEFAULT_DRAWING
+) -> list[str]:
     """Draw the overlay of one stream.
 
     Parameters
@@ -61,14 +67,16 @@ def draw_overlay(stream: Path, source: str, path: Path, zones: Sequence[Zone] = 
         The mp4 file; there is none if no frame can be drawn.
     zones : sequence of Zone
         Drawn over every frame.
+    drawing : Drawing
+        What is drawn beside them.
 
     Returns
     -------
     list of str
         What is missing, and why.
     """
-    overlay, drawn, missing = OverlayVideo(path, _sound_of(source), zones), 0, 0
-    pairs = with_pictures(recorded_stream(stream), source)
+    overlay, drawn, missing = OverlayVideo(path, _sound_of(source), zones, drawing), 0, 0
+    pairs = with_pictures(recorded_stream(stream), source, private=drawing.private)
     for frame, picture in track(
         pairs, stream.name, recorded_frames(stream), console=Console(stderr=True), transient=True
     ):
@@ -76,7 +84,17 @@ def draw_overlay(stream: Path, source: str, path: Path, zones: Sequence[Zone] = 
             missing += 1
             continue
         regions = {one.layer: one.region for one in frame.objects}
-        overlay.add(picture, frame.labels(), frame.index, frame.pts, regions, frame.pixel_aspect, frame.scene)
+        overlay.add(
+            LabelledPicture(
+                image=picture,
+                labels=frame.labels(),
+                index=frame.index,
+                pts=frame.pts,
+                regions=regions,
+                pixel_aspect=frame.pixel_aspect,
+                scene=frame.scene,
+            )
+        )
         drawn += 1
     overlay.close()
     if drawn and not path.exists():

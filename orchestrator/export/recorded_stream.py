@@ -43,6 +43,8 @@ class RecordedFrame:
         How wide a pixel is to be shown for its height.
     scene : ScenePlace, optional
         Where the zones are that are fixed to the scene.
+    camera : tuple of float, optional
+        Homography of the background, row by row, that takes its pixels to the frame before.
     """
 
     index: int
@@ -55,6 +57,7 @@ class RecordedFrame:
     codes: tuple[str, ...]
     pixel_aspect: float = 1.0
     scene: ScenePlace | None = None
+    camera: tuple[float, ...] | None = None
 
     def labels(self) -> Array:
         """The label map, (H, W) uint16."""
@@ -116,4 +119,5 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
             codes=result.run_length_codes,
             pixel_aspect=result.pixel_aspect,
             scene=result.scene,
+            camera=result.camera,
         )

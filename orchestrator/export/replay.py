@@ -18,6 +18,7 @@ from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.source import SourceFrame
 from mlbs_actors.subtractor import MultilayerSubtractor
 from orchestrator.export.recorded_stream import RecordedFrame
+from orchestrator.pictures.privacy import FRAMES_AFTER, MovingArea, blurred
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.opening import open_reader
 from orchestrator.working_size import enlarged, shrunk
@@ -57,9 +58,45 @@ def replayed(source: str) -> Iterator[SourceFrame]:
 
 
 def with_pictures(
+    frames: Iterable[RecordedFrame], source: str, *, private: bool = False
+) -> Iterator[tuple[RecordedFrame, Array | None]]:
+    """Pair recorded frames with the pictures of their source, None where those cannot be read again.
+
+    Parameters
+    ----------
+    frames : iterable of RecordedFrame
+        A stream's, from the first one on.
+    source : str
+    private : bool
+        Whether what moves is blurred, and pictures of another size than recorded are left out.
+    """
+    pairs = _with_pictures(frames, source)
+    return _hidden(pairs) if private else pairs
+
+
+def _hidden(
+    pairs: Iterable[tuple[RecordedFrame, Array | None]],
+) -> Iterator[tuple[RecordedFrame, Array | None]]:
+    moving, held = MovingArea(), deque[tuple[RecordedFrame, Array | None]]()
+
+    def oldest() -> tuple[RecordedFrame, Array | None]:
+        frame, picture = held.popleft()
+        if picture is None or picture.shape[:2] != (frame.height, frame.width):
+            return frame, None
+        return frame, blurred(picture, moving.mask(len(held)))
+
+    for frame, picture in pairs:
+        moving.follow(frame.labels(), frame.camera)
+        held.append((frame, picture))
+        if len(held) > FRAMES_AFTER:
+            yield oldest()
+    while held:
+        yield oldest()
+
+
+def _with_pictures(
     frames: Iterable[RecordedFrame], source: str
 ) -> Iterator[tuple[RecordedFrame, Array | None]]:
-    """Pair recorded frames with the pictures of their source, None where those cannot be read again."""
     pictures = replayed(source)
     newest = next(pictures, None)
     for frame in frames:

@@ -18,7 +18,7 @@ from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.motion_field.node_grid import node_positions
 from mlbs_actors.wording import count_of
 from orchestrator.export.replay import InspectedFrame
-from orchestrator.sinks.layer_colours import layer_colour
+from orchestrator.pictures.layer_colours import layer_colour
 
 __all__ = ["Written", "layer_rgb", "layout", "write_internals"]
 

@@ -26,6 +26,7 @@ from orchestrator.export.recorded_stream import (
 from orchestrator.export.replay import inspected, with_pictures
 from orchestrator.export.rerun_internals import layer_rgb, layout, write_internals
 from orchestrator.ignored import read_ignored
+from orchestrator.pictures.privacy import is_private
 
 __all__ = ["write_rerun"]
 
@@ -35,14 +36,14 @@ _JPEG_QUALITY = 85
 def write_rerun(run: Path, out: Path, *, internals: bool = False) -> list[str]:
     """Write a recording with the timelines ``frame`` and ``time``, and these entities for each stream.
 
-    =========================  =======================================
-    ``NAME/image``             the picture, if it can be read again
+    =========================  ==============================================================
+    ``NAME/image``             the picture, if it can be read again; of a private run blurred
     ``NAME/labels``            the label map, a class for each layer
     ``NAME/camera``            motion of the background, dx and dy
     ``NAME/layers/ID``         an object's box
     ``NAME/layers/ID/motion``  its velocity, an arrow from its centre
     ``NAME/layers/ID/area``    its number of pixels
-    =========================  =======================================
+    =========================  ==============================================================
 
     Parameters
     ----------
@@ -58,12 +59,13 @@ def write_rerun(run: Path, out: Path, *, internals: bool = False) -> list[str]:
     list of str
         Sentences about internals that are missing or differ from the recorded label maps.
     """
-    sources = streams_of(run)
+    sources, private = streams_of(run), is_private(description_of(run))
     with rerun.RecordingStream("mlbs-actors") as recording:
         recording.save(out)
         recording.set_log_time_enabled(False)  # the time of the export is irrelevant
         for name, source in sources.items():
-            _StreamLog(recording, name).write(with_pictures(recorded_stream(run / name), source))
+            pairs = with_pictures(recorded_stream(run / name), source, private=private)
+            _StreamLog(recording, name).write(pairs)
         return _add_internals(recording, run, sources) if internals else []
 
 

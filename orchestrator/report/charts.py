@@ -9,8 +9,8 @@ import numpy as np
 from markupsafe import Markup
 
 from mlbs_actors.messages import Array
+from orchestrator.pictures.layer_colours import layer_colour
 from orchestrator.report.history import StageTimes, StreamHistory, frame_ranges
-from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sinks.object_list import SeenObject
 
 __all__ = ["css_colour", "object_count_chart", "stage_chart", "timeline_chart"]

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mlbs_actors.actors.stream.protocol import StreamSpec
+from mlbs_actors.actors.stream.protocol import StreamSink, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.source import FrameReader
@@ -20,18 +20,22 @@ from orchestrator.run.driver import SpecChange
 from orchestrator.run.edited_files import keep_version
 from orchestrator.run.file_watch import FileWatch
 from orchestrator.run.list_watch import ListChange, ListWatch
-from orchestrator.run.listed_stream import ListedStream
+from orchestrator.run.listed_stream import ListedStream, OwnSettings
 from orchestrator.run.resumption import with_new_names
 from orchestrator.run.retention_limits import Keep
 from orchestrator.run.run_folder import RunFolder, describe_run
 from orchestrator.run.stream_settings import StreamSettings, changes_between, settings_of, words_of_changes
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
+from orchestrator.sinks.private_record import PrivateRecord
 from orchestrator.sinks.record import StreamRecord, ends_group
-from orchestrator.sources.address import SourceAddress
+from orchestrator.sources.address import SourceAddress, parse_address
 from orchestrator.sources.opening import open_reader
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
 __all__ = ["Job"]
+
+#: A stream of which no file says anything.
+_NOBODY = ListedStream("", parse_address("synthetic:demo", Path("/")), None)
 
 
 class Job:
@@ -225,11 +229,11 @@ class Job:
         command = command_again(given, f"{self._folder.path}-again")
         description = describe_run(list(self._streams.values()), self._config, asked, command, before)
         described = {name: one.described() for name, one in self._settings.items()}
-        ours = description | {"ignore": None, "rules": None, "give_up_after": given.give_up_after}
+        shared = settings_of(_NOBODY, given, self._config).described() | description
         own = {
-            name: {key: value for key, value in values.items() if value != ours[key]}
+            name: {key: value for key, value in values.items() if value != shared[key]}
             for name, values in described.items()
-            if self._streams[name].own.options or self._streams[name].own.rules
+            if self._streams[name].own != OwnSettings()
         }
         return description | {"settings": description["settings"] | own}
 
@@ -241,22 +245,26 @@ class Job:
             reader, record = partial(ShrinkingReader, reader, asked.max_side), FullSizeRecord
         picture = None
         if self._live is not None:
-            picture = LivePicture(live_picture_path(self._live, stream.name), zones=asked.rules.zones)
+            picture = LivePicture(
+                live_picture_path(self._live, stream.name), zones=asked.rules.zones, drawing=asked.drawing
+            )
+        open_sink: Callable[[], StreamSink] = partial(
+            record,
+            self._folder.stream(stream.name),
+            stream.name,
+            asked.save,
+            picture,
+            live=stream.source.live,
+            source=stream.source,
+            rules=asked.rules,
+            segment_seconds=asked.segment,
+            drawing=asked.drawing,
+        )
         return StreamSpec(
             name=stream.name,
             config=asked.config,
             open_reader=reader,
-            open_sink=partial(
-                record,
-                self._folder.stream(stream.name),
-                stream.name,
-                asked.save,
-                picture,
-                live=stream.source.live,
-                source=stream.source,
-                rules=asked.rules,
-                segment_seconds=asked.segment,
-            ),
+            open_sink=partial(PrivateRecord, open_sink) if asked.drawing.private else open_sink,
             max_frames=asked.max_frames,
             wants_background=ends_group if "background" in asked.save else None,
             source=str(stream.source),

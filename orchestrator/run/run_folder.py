@@ -40,6 +40,11 @@ _SAME = {"config": "parameters"} | {
     if option.record is not None and option.effect is not Effect.AT_ONCE
 }
 
+#: Those that must never change.
+_FIXED = {
+    name: flag_of(name) for name, option in options() if option.effect is Effect.FIXED and option.record
+}
+
 #: Keys that stay as they were when a run was begun.
 _LASTING = ("started", "versions", "machine")
 
@@ -131,9 +136,8 @@ class RunFolder:
         recorded, sources = self.recorded_sources(begun), description["sources"]
         if not all(name in sources and goes_on(source, sources[name]) for name, source in recorded.items()):
             raise ConfigError(f"The run in {self.path} had other streams; {advice}")
-        if all(is_camera(source) for source in recorded.values()):
-            return
-        for key, meaning in _SAME.items():
+        cameras_alone = all(is_camera(source) for source in recorded.values())
+        for key, meaning in _FIXED.items() if cameras_alone else _SAME.items():
             if begun.get(key) != description[key]:
                 changes = words_of_changes(begun.get(key), description[key])
                 raise ConfigError(f"The run in {self.path} had other {meaning} ({changes}); {advice}")

@@ -12,6 +12,7 @@ from mlbs_actors.config import Config, with_overrides
 from orchestrator.events.zones import EventRules
 from orchestrator.ignored import IgnoredFile
 from orchestrator.options import Arguments, Effect, options
+from orchestrator.pictures.content import Drawing
 from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.retention_limits import HOUR, Keep
 
@@ -44,6 +45,8 @@ class StreamSettings:
         s.
     rules : EventRules
         What its events depend on.
+    drawing : Drawing
+        What its pictures show.
     """
 
     config: Config
@@ -55,6 +58,7 @@ class StreamSettings:
     keep: Keep | None
     give_up_after: int | None
     rules: EventRules
+    drawing: Drawing
 
     def described(self) -> dict[str, Any]:
         """Return each value as ``run.json`` has it."""
@@ -68,15 +72,16 @@ class StreamSettings:
             "keep": None if self.keep is None else list(self.keep.words),
             "give_up_after": self.give_up_after,
             "rules": self.rules.digest,
+            "draw": self.drawing.names,
+            "time_zone": self.drawing.time_zone,
         }
 
 
 def settings_of(stream: ListedStream, arguments: Arguments, config: Config) -> StreamSettings:
     """Return what a stream is asked for; ``config`` has the parameters of the command."""
     own = stream.own.options
-    values = {
-        one.name: own.get(one.name, getattr(arguments, one.name, None)) for one in fields(StreamSettings)
-    }
+    asked = {name: own.get(name, getattr(arguments, name)) for name, _ in options()}
+    values = {one.name: asked[one.name] for one in fields(StreamSettings) if one.name in asked}
     if "set" in own:
         config = with_overrides(config, own["set"])
     ignored = own.get("ignore", arguments.ignore)
@@ -90,6 +95,7 @@ def settings_of(stream: ListedStream, arguments: Arguments, config: Config) -> S
         "ignore": ignored.file_of(stream.name),
         "segment": segment if stream.source.live else None,
         "rules": rules,
+        "drawing": Drawing.of(asked["draw"], asked["time_zone"], private=arguments.private),
     }
     settings = StreamSettings(**values)
     told = {key: value for key, value in settings.described().items() if key in _TOLD}

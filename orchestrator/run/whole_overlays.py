@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from orchestrator.events.zones import Zone
+from orchestrator.pictures.content import DEFAULT_DRAWING, Drawing
 from orchestrator.run.job import Job
 from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.stream_state import StreamState, has_ended
@@ -34,8 +35,9 @@ def make_all_whole(
         stream = folder.stream(spec.name)
         wanted = is_in_parts(stream) or (spec.name in due and is_lost(stream))
         if not spec.live and spec.name in ended and wanted:
+            asked = job.settings(spec.name)
             try:
-                make_whole(stream, spec.source, say, job.settings(spec.name).rules.zones)
+                make_whole(stream, spec.source, say, asked.rules.zones, asked.drawing)
             except KeyboardInterrupt:
                 say("The overlay stays as it is; to try again, give the same command with --resume.")
                 return
@@ -51,7 +53,13 @@ def is_lost(folder: Path) -> bool:
     return not any(folder.glob("overlay*"))
 
 
-def make_whole(folder: Path, source: str, say: Callable[[str], None], zones: Sequence[Zone] = ()) -> None:
+def make_whole(
+    folder: Path,
+    source: str,
+    say: Callable[[str], None],
+    zones: Sequence[Zone] = (),
+    drawing: Drawing = DEFAULT_DRAWING,
+) -> None:
     """Replace the parts of a stream's overlay by one video; keep them if it cannot be drawn.
 
     Parameters
@@ -64,6 +72,8 @@ def make_whole(folder: Path, source: str, say: Callable[[str], None], zones: Seq
         Takes a sentence for the user.
     zones : sequence of Zone
         Drawn over every frame.
+    drawing : Drawing
+        What is drawn beside them.
     """
     # Imported here, because it imports the engine, which the driver needs for nothing else.
     from orchestrator.export.overlay import draw_overlay
@@ -71,7 +81,7 @@ def make_whole(folder: Path, source: str, say: Callable[[str], None], zones: Seq
     say(f"Drawing the overlay of {folder.name} anew, in one piece.")
     draft = folder / _DRAFT
     try:
-        remarks = draw_overlay(folder, source, draft, zones)
+        remarks = draw_overlay(folder, source, draft, zones, drawing)
         if remarks:
             say(f"The overlay of {folder.name} stays as it is. {' '.join(remarks)}")
             return

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import cv2
 
-from mlbs_actors.messages import Array
 from orchestrator.events.zones import Zone
-from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
+from orchestrator.pictures.content import DEFAULT_DRAWING, Drawing
+from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.storage.durable_files import temporary_path
 
 __all__ = ["LivePicture", "live_picture_path", "watch"]
@@ -53,31 +52,38 @@ class LivePicture:
         Monotonic time, s.
     zones : sequence of Zone
         Drawn over the picture; may be replaced later.
+    drawing : Drawing
+        What is drawn beside them.
     """
 
     def __init__(
-        self, path: Path, clock: Callable[[], float] = time.monotonic, zones: Sequence[Zone] = ()
+        self,
+        path: Path,
+        clock: Callable[[], float] = time.monotonic,
+        zones: Sequence[Zone] = (),
+        drawing: Drawing = DEFAULT_DRAWING,
     ) -> None:
         self._path = path
         self.zones = zones
+        self._drawing = drawing
         self._clock = clock
         self._written: float | None = None
-        self._unshown: tuple[Array, Array, int, ScenePlace | None] | None = None
+        self._unshown: LabelledPicture | None = None
 
-    def show(self, image: Array, labels: Array, index: int, scene: ScenePlace | None = None) -> None:
-        """Show frame ``index`` unless the last picture is newer than it may be; disk errors are ignored."""
+    def show(self, picture: LabelledPicture) -> None:
+        """Show a frame unless the last picture is newer than it may be; disk errors are ignored."""
         now = self._clock()
         least = _WATCHED_SECONDS if self._is_watched() else _SECONDS
         if self._written is not None and now - self._written < least:
-            self._unshown = image, labels, index, scene
+            self._unshown = picture
         else:
             self._written, self._unshown = now, None
-            self._write(image, labels, index, scene)
+            self._write(picture)
 
     def close(self) -> None:
         """Show the stream's last frame, however recent the last picture is."""
         if self._unshown is not None:
-            self._write(*self._unshown)
+            self._write(self._unshown)
             self._unshown = None
 
     def _is_watched(self) -> bool:
@@ -86,15 +92,8 @@ class LivePicture:
         except OSError:
             return False
 
-    def _write(self, image: Array, labels: Array, index: int, scene: ScenePlace | None) -> None:
-        height, width = labels.shape
-        if width > _WIDTH:
-            size = (_WIDTH, max(1, round(height * _WIDTH / width)))
-            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-            labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
-        drawn = draw_labels(image, labels)
-        draw_zones(drawn, self.zones, (height, width), scene)
-        draw_caption(drawn, f"frame {index}")
+    def _write(self, picture: LabelledPicture) -> None:
+        drawn = picture.drawn(self.zones, self._drawing, _WIDTH)
         _, jpeg = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         with suppress(OSError):
             temporary_path(self._path).write_bytes(jpeg.tobytes())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -14,10 +14,10 @@ from av.packet import Packet
 from av.video.frame import VideoFrame
 
 from mlbs_actors.errors import SourceError
-from mlbs_actors.messages import Array, Region
+from mlbs_actors.messages import Array
 from orchestrator.events.zones import Zone
-from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
+from orchestrator.pictures.content import DEFAULT_DRAWING, Drawing
+from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.libav import reason
 from orchestrator.sources.sound import SoundReader
@@ -123,6 +123,8 @@ class OverlayVideo:
         The source, whose sound is copied if it is a file that has some.
     zones : sequence of Zone
         Drawn over every frame; may be replaced later.
+    drawing : Drawing
+        What is drawn beside them. A private one has no sound.
     growing : bool
         Whether it can be played before it is closed.
     """
@@ -132,13 +134,15 @@ class OverlayVideo:
         path: Path,
         sound: SourceAddress | None = None,
         zones: Sequence[Zone] = (),
+        drawing: Drawing = DEFAULT_DRAWING,
         *,
         growing: bool = False,
     ) -> None:
         self._path = path
         self._growing = growing
         self.zones = zones
-        self._source_of_sound = sound
+        self._drawing = drawing
+        self._source_of_sound = None if drawing.private else sound
         self._sound: SoundReader | None = None
         self._sound_stream: av.AudioStream | None = None
         self._container: av.container.OutputContainer | None = None
@@ -146,37 +150,20 @@ class OverlayVideo:
         self._failed = False
         self._first_pts, self._last_pts, self._frames = 0, -1, 0
 
-    def add(
-        self,
-        image: Array,
-        labels: Array,
-        index: int,
-        pts: float,
-        regions: Mapping[int, Region] | None = None,
-        pixel_aspect: float = 1.0,
-        scene: ScenePlace | None = None,
-    ) -> None:
-        """Append frame ``index``, shown at ``pts`` seconds; times that do not advance are moved by 1/90,000
-        s.
-
-        ``regions`` are the layers' bounding boxes, where they are known; ``pixel_aspect`` is how wide a pixel
-        is to be shown for its height; ``scene`` is where the zones are that are fixed to the scene.
-        """
+    def add(self, picture: LabelledPicture) -> None:
+        """Append a frame; times that do not advance are moved by 1/90,000 s."""
         if self._failed:
             return
         try:
-            container, stream = self._opened(image.shape, pixel_aspect)
+            container, stream = self._opened(picture.image.shape, picture.pixel_aspect)
             size = (stream.width, stream.height)
-            drawn = draw_labels(image, labels, regions)
-            draw_zones(drawn, self.zones, drawn.shape[:2], scene)
-            draw_caption(drawn, f"frame {index}")
-            drawn = _padded(drawn)
+            drawn = _padded(picture.drawn(self.zones, self._drawing))
             if (drawn.shape[1], drawn.shape[0]) != size:
                 drawn = cv2.resize(drawn, size, interpolation=cv2.INTER_AREA)
             # OpenCV converts in half of the time that the encoder's library takes.
             planes = np.asarray(cv2.cvtColor(drawn, cv2.COLOR_BGR2YUV_I420), np.uint8)
             frame = VideoFrame.from_numpy_buffer(planes, format="yuv420p")
-            self._last_pts = max(self._last_pts + 1, round(pts / TICK))
+            self._last_pts = max(self._last_pts + 1, round(picture.pts / TICK))
             if not self._frames:
                 self._first_pts = self._last_pts
             self._frames += 1

@@ -26,10 +26,12 @@ from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from mlbs_actors.source import GapStatus, SourceFrame
 from orchestrator.events.stream_events import StreamEvents
 from orchestrator.events.zones import EventRules
+from orchestrator.pictures.content import DEFAULT_DRAWING, Drawing
 from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.sinks.background import background_plate
 from orchestrator.sinks.cutouts import cutouts
 from orchestrator.sinks.label_image import encode_label_image, encode_picture
+from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
@@ -77,6 +79,8 @@ class StreamRecord:
         What its events depend on.
     segment_seconds : int, optional
         Length of the segments of a live source's record; by default it has none.
+    drawing : Drawing
+        What its pictures show.
     clock : callable
         Seconds since 1970, at which a live source's rows come.
 
@@ -101,6 +105,7 @@ class StreamRecord:
         source: SourceAddress | None = None,
         rules: EventRules | None = None,
         segment_seconds: int | None = None,
+        drawing: Drawing = DEFAULT_DRAWING,
         clock: Callable[[], float] | None = None,
     ) -> None:
         self._rules = rules = rules or EventRules()
@@ -111,6 +116,7 @@ class StreamRecord:
         self._save = save
         self._live_picture = live_picture
         self._live = live
+        self._drawing = drawing
         self._rows: list[FrameRow] = []
         self._provisional = False
         self._begins_with = 0  # first frame of which the lists know
@@ -122,7 +128,7 @@ class StreamRecord:
                 self._pictures = self._segments or PictureFolders(folder, save)
                 self._snapshots = SnapshotFolder(folder / SNAPSHOTS, self._log.generation, self._log.rows)
                 self._stages = self._clear_up()
-                self._events = StreamEvents(folder, name, rules, self._log.rows)
+                self._events = StreamEvents(folder, name, rules, self._log.rows, drawing)
             tables = "parquet" in save
             self._objects = ObjectFiles(folder, name) if tables else None
         except OSError as error:
@@ -138,7 +144,7 @@ class StreamRecord:
         self._committed = self._label_maps
         self._overlay: OverlayVideo | None = None
         if "overlay" in save and self._segments is None:
-            self._overlay = OverlayVideo(overlay_path(folder, self._log.rows), source, rules.zones)
+            self._overlay = OverlayVideo(overlay_path(folder, self._log.rows), source, rules.zones, drawing)
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
@@ -167,14 +173,22 @@ class StreamRecord:
             raise self._unwritable(error) from None
         if self._segments is not None and self._overlay is None and "overlay" in self._save:
             path = overlay_path(self._segments.folder, frame.index)
-            self._overlay = OverlayVideo(path, zones=self._rules.zones, growing=True)
-        if self._overlay is not None and frame.image is not None:
-            regions = {layer.layer: layer.region for layer in segmentation.layers}
-            self._overlay.add(
-                frame.image, segmentation.labels, frame.index, frame.pts, regions, frame.pixel_aspect, scene
+            self._overlay = OverlayVideo(path, None, self._rules.zones, self._drawing, growing=True)
+        if frame.image is not None:
+            shown = LabelledPicture(
+                image=frame.image,
+                labels=segmentation.labels,
+                index=frame.index,
+                pts=frame.pts,
+                taken=self._events.taken_at(frame.pts),
+                regions={layer.layer: layer.region for layer in segmentation.layers},
+                pixel_aspect=frame.pixel_aspect,
+                scene=scene,
             )
-        if self._live_picture is not None and frame.image is not None:
-            self._live_picture.show(frame.image, segmentation.labels, frame.index, scene)
+            if self._overlay is not None:
+                self._overlay.add(shown)
+            if self._live_picture is not None:
+                self._live_picture.show(shown)
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:

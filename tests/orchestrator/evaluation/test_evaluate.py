@@ -27,7 +27,7 @@ from orchestrator.evaluation.figures import format_table, mean_of_sequences
 from orchestrator.evaluation.labelling import EngineLabelling
 from orchestrator.evaluation.scoring import score_sequence
 from orchestrator.evaluation.sequences import FolderSequence, SceneSequence, read_label_map
-from orchestrator.sinks.layer_colours import layer_colour
+from orchestrator.pictures.layer_colours import layer_colour
 from orchestrator.sources.synthetic import SyntheticScene, scene
 
 TINY_CROSSING = "synthetic:crossing?frames=8&width=96&height=72"

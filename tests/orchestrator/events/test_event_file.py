@@ -107,10 +107,10 @@ def test_a_line_names_a_picture_of_the_object_and_old_ones_are_deleted(
         if index == 8:
             cut_out = cv2.imread(str(tmp_path / "events/00000008-3.jpg"))
             assert cut_out is not None
-            assert cut_out.shape == (20, 16, 3)  # twice the box
+            assert cut_out.shape == (480, 384, 3)  # twice the box, 24 times as large
             red = cut_out[..., 2].astype(int) - cut_out[..., 0] > 100
-            assert 70 <= red.sum() <= 90
-            assert red[6:14, 5:11].all()
+            assert red[140:340, 110:280].mean() > 0.8  # the zone is drawn over it
+            assert not red[:90].any()
     there = sorted(path.name for path in (tmp_path / "events").iterdir())
     named = [event["picture"] for event in lines(tmp_path) if event["picture"] is not None]
     assert [f"events/{name}" for name in there] == list(dict.fromkeys(named))[-5:]

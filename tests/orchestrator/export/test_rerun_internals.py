@@ -19,9 +19,9 @@ from orchestrator.export.__main__ import main
 from orchestrator.export.recorded_stream import RecordedFrame
 from orchestrator.export.replay import InspectedFrame
 from orchestrator.options import recorded
+from orchestrator.pictures.layer_colours import layer_colour
 from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.run_folder import RunFolder, describe_run
-from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.synthetic import scene

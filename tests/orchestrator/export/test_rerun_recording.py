@@ -17,9 +17,9 @@ from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
 from orchestrator.export.__main__ import main
 from orchestrator.options import recorded
+from orchestrator.pictures.layer_colours import layer_colour
 from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.run_folder import RunFolder, describe_run
-from orchestrator.sinks.layer_colours import layer_colour
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.synthetic import scene
 

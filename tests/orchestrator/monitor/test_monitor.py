@@ -28,6 +28,7 @@ from orchestrator.monitor.board import Board
 from orchestrator.monitor.metrics import MetricsText
 from orchestrator.monitor.server import serving
 from orchestrator.run.stream_state import StateName, StreamState, after_progress, after_start
+from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path, watch
 from orchestrator.sinks.record import StreamRecord
 
@@ -47,7 +48,7 @@ def board(tmp_path: Path) -> Board:
     for read in (8, 16, 20):
         board.update([after_progress(STATES[0], progress(read), 4.25), *STATES[1:]])
     picture = LivePicture(live_picture_path(tmp_path, "yard"))
-    picture.show(np.zeros((48, 64, 3), np.uint8), np.ones((48, 64), np.uint16), 7)
+    picture.show(LabelledPicture(np.zeros((48, 64, 3), np.uint8), np.ones((48, 64), np.uint16), 7, 0.0))
     return board
 
 
@@ -217,7 +218,7 @@ def test_other_viewers_get_the_pictures_as_motion_jpeg_until_the_stream_ends(
         return round(float(picture[-1, -1].mean()))
 
     assert part() < 130  # that of the fixture, all of it one object
-    live.show(np.full((48, 64, 3), 200, np.uint8), np.zeros((48, 64), np.uint16), 8)
+    live.show(LabelledPicture(np.full((48, 64, 3), 200, np.uint8), np.zeros((48, 64), np.uint16), 8, 0.0))
     assert part() == 200
     board.update([replace(STATES[0], state="done"), *STATES[1:]])
     assert answer.read() == b""
@@ -316,7 +317,11 @@ def test_a_live_picture_is_replaced_twice_a_second_and_at_most_640_wide(
     written = []
     for index in range(13):
         now[0] = index / 10
-        live.show(np.full((500, 1000, 3), 8 * index, np.uint8), np.zeros((500, 1000), np.uint16), index)
+        live.show(
+            LabelledPicture(
+                np.full((500, 1000, 3), 8 * index, np.uint8), np.zeros((500, 1000), np.uint16), index, 0.0
+            )
+        )
         picture = cv2.imread(str(tmp_path / "a.jpg"))
         assert picture is not None
         assert picture.shape == (320, 640, 3)
@@ -330,7 +335,11 @@ def test_a_live_picture_is_replaced_twice_a_second_and_at_most_640_wide(
     watch(tmp_path / "a.jpg")
     for index in range(13, 16):  # ten times a second for somebody who watches
         now[0] = index / 9
-        live.show(np.full((500, 1000, 3), 8 * index, np.uint8), np.zeros((500, 1000), np.uint16), index)
+        live.show(
+            LabelledPicture(
+                np.full((500, 1000, 3), 8 * index, np.uint8), np.zeros((500, 1000), np.uint16), index, 0.0
+            )
+        )
         picture = cv2.imread(str(tmp_path / "a.jpg"))
         assert picture is not None
         assert round(float(picture[-1, -1].mean()) / 8) == index
@@ -378,7 +387,7 @@ def test_a_browser_shows_fifty_streams_with_their_events(
     event = {"clock": None, "time": 1.25, "object": 4, "zone": "yard", "kind": "entered", "direction": None}
     for name in names:
         LivePicture(live_picture_path(tmp_path, name)).show(
-            np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64), np.uint16), 7
+            LabelledPicture(np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64), np.uint16), 7, 0.0)
         )
         (tmp_path / name).mkdir()
         line = json.dumps(event | {"id": name, "picture": "events/00000007-4.jpg"}) + "\n"

@@ -7,13 +7,17 @@ from pathlib import Path
 import pytest
 
 from mlbs_actors.config import Config
+from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import parse
 from orchestrator.events.zones import EventRules
+from orchestrator.pictures.privacy import is_private
 from orchestrator.run import file_watch
+from orchestrator.run.argument_streams import argument_streams
 from orchestrator.run.edited_files import newest_version
 from orchestrator.run.job import Job
 from orchestrator.run.run_folder import RunFolder, read_description
 from orchestrator.run.stream_list import read_stream_list
+from orchestrator.sinks.private_record import PrivateRecord
 
 ZONES = """streams:
   a: {zones: [{name: yard, polygon: [[0, 0], [1, 0], [1, 1]]}]}
@@ -65,3 +69,24 @@ def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed
         "--zones names aa, not streams of this run at present.",
         "From now on for a: other zones or rules.",
     ]
+
+
+@pytest.mark.parametrize("side", [[], ["--max-side", "96"]])
+def test_the_record_of_a_private_run_gets_blurred_pictures_only(tmp_path: Path, side: list[str]) -> None:
+    arguments = parse(["demo", "--private", *side, "--output", str(tmp_path / "out")])
+    streams = argument_streams(arguments.sources)
+    job = Job(streams, arguments, Config(), RunFolder(tmp_path / "out"), None, print)
+    [spec] = job.specs
+    assert isinstance(spec.open_sink(), PrivateRecord)
+    assert is_private(job.description)
+
+
+def test_what_was_not_private_does_not_become_so(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "out")
+    folder.path.mkdir()
+    plain = Job([], parse(["demo"]), Config(), folder, None, print).description
+    hidden = Job([], parse(["demo", "--private"]), Config(), folder, None, print).description
+    with pytest.raises(ConfigError, match="--private"):
+        folder.refuse_other(plain, hidden)
+    with pytest.raises(ConfigError, match="--save cutouts"):
+        parse(["demo", "--private", "--save", "cutouts"])

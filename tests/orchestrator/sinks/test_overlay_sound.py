@@ -14,6 +14,7 @@ from sounding_video import FRAME_RATE, RATE, heard, write_sounding_video
 from mlbs_actors.source import SourceFrame
 from orchestrator.report.page import render_report
 from orchestrator.run.stream_state import StreamState
+from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sources.address import SourceAddress, parse_address
 from orchestrator.sources.opening import open_reader
@@ -26,7 +27,11 @@ def overlaid(source: Path, path: Path, first: int = 0, last: int = 1000) -> Path
     reader, overlay = open_reader(address), OverlayVideo(path, address)
     while isinstance(frame := reader.read(), SourceFrame):
         if first <= frame.index < last and frame.image is not None:
-            overlay.add(frame.image, np.zeros(frame.image.shape[:2], np.uint16), frame.index, frame.pts)
+            overlay.add(
+                LabelledPicture(
+                    frame.image, np.zeros(frame.image.shape[:2], np.uint16), frame.index, frame.pts
+                )
+            )
     overlay.close()
     return path
 
@@ -90,7 +95,7 @@ def test_sound_that_an_mp4_file_cannot_hold_is_left_out_and_the_report_says_so(t
 
 def test_a_source_whose_sound_cannot_be_read_has_an_overlay_without(tmp_path: Path) -> None:
     overlay = OverlayVideo(tmp_path / "overlay.mp4", parse_address("/nowhere/film.mp4", tmp_path))
-    overlay.add(np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), 0, 0.0)
+    overlay.add(LabelledPicture(np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), 0, 0.0))
     overlay.close()
     assert pictures(tmp_path / "overlay.mp4") == 1
     assert "The overlay has no sound. Cannot open" in (tmp_path / "overlay.note").read_text()

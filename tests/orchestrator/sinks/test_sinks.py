@@ -24,6 +24,7 @@ from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, Region, Segmentation
 from orchestrator.rows.frame_row import run_length_code
 from orchestrator.sinks.label_image import davis_palette, encode_label_image, voc_colours
+from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
 from orchestrator.storage import commit_log, durable_files
@@ -335,7 +336,11 @@ def _decode(path: Path) -> list[Array]:
 def test_the_overlay_shows_each_frame_once_at_any_size(tmp_path: Path, shape: tuple[int, int]) -> None:
     overlay = OverlayVideo(tmp_path / "overlay.mp4")
     for index in range(6):
-        overlay.add(np.full((*shape, 3), 40 * index, np.uint8), np.zeros(shape, np.uint16), index, index / 10)
+        overlay.add(
+            LabelledPicture(
+                np.full((*shape, 3), 40 * index, np.uint8), np.zeros(shape, np.uint16), index, index / 10
+            )
+        )
     assert not (tmp_path / "overlay.mp4").exists()
     overlay.close()
     overlay.close()
@@ -350,7 +355,9 @@ def test_the_overlay_has_the_frame_rate_of_its_frames(tmp_path: Path, rate: int 
     overlay = OverlayVideo(tmp_path / "overlay.mp4")
     for index in range(50):
         overlay.add(
-            np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), index, index / float(rate)
+            LabelledPicture(
+                np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), index, index / float(rate)
+            )
         )
     overlay.close()
     with av.open(str(tmp_path / "overlay.mp4")) as container:
@@ -366,7 +373,9 @@ def test_at_a_variable_frame_rate_the_last_frame_is_shown_as_long_as_the_others_
 ) -> None:
     overlay = OverlayVideo(tmp_path / "overlay.mp4")
     for index, pts in enumerate((0.0, 0.1, 0.2, 0.8)):
-        overlay.add(np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), index, pts)
+        overlay.add(
+            LabelledPicture(np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), index, pts)
+        )
     overlay.close()
     with av.open(str(tmp_path / "overlay.mp4")) as container:
         assert container.duration == pytest.approx((0.8 + 0.8 / 3) * av.time_base, abs=1000)
@@ -375,7 +384,9 @@ def test_at_a_variable_frame_rate_the_last_frame_is_shown_as_long_as_the_others_
 def test_times_that_go_backwards_or_stand_still_do_not_end_the_overlay(tmp_path: Path) -> None:
     overlay = OverlayVideo(tmp_path / "overlay.mp4")
     for index, pts in enumerate((0.0, 0.1, 0.1, 0.05, 3.0, 0.2)):
-        overlay.add(np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), index, pts)
+        overlay.add(
+            LabelledPicture(np.zeros((32, 32, 3), np.uint8), np.zeros((32, 32), np.uint16), index, pts)
+        )
     overlay.close()
     assert len(_decode(tmp_path / "overlay.mp4")) == 6
 
@@ -393,7 +404,9 @@ def test_pixels_that_are_not_square_are_shown_so_and_told(tmp_path: Path) -> Non
 def test_frames_of_another_size_are_scaled_into_the_overlay(tmp_path: Path) -> None:
     overlay = OverlayVideo(tmp_path / "overlay.mp4")
     for index, shape in enumerate(((32, 48), (64, 96))):
-        overlay.add(np.full((*shape, 3), 200, np.uint8), np.zeros(shape, np.uint16), index, index)
+        overlay.add(
+            LabelledPicture(np.full((*shape, 3), 200, np.uint8), np.zeros(shape, np.uint16), index, index)
+        )
     overlay.close()
     assert [picture.shape for picture in _decode(tmp_path / "overlay.mp4")] == [(32, 48, 3)] * 2
 

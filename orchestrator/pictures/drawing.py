@@ -2,29 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from mlbs_actors.messages import BACKGROUND, Array, Region
-from orchestrator.events.zones import Zone
-from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.sinks.layer_colours import layer_colour
+from orchestrator.pictures.layer_colours import layer_colour
 
-__all__ = ["draw_caption", "draw_labels", "draw_zones"]
+__all__ = ["Outline", "draw_box", "draw_caption", "draw_labels", "draw_outlines"]
 
 _OPACITY = 0.4
-_ZONE = (255, 255, 255)
+_OUTLINE = (255, 255, 255)
 _LINE_PX = 1 / 360  # width of an outline against the picture's shorter side
 _TEXT_PX = 1 / 28  # height of a digit against the picture's shorter side
 _LEAST_TEXT_PX = 12
+_LEAST_CAPTION_PX = 6
+_LEAST_NAME_PX = 11
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _FONT_PX = 22  # height of this font's digits at scale 1
 
 
-def draw_labels(image: Array, labels: Array, regions: Mapping[int, Region] | None = None) -> Array:
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A polygon or a line to be drawn over a picture.
+
+    Attributes
+    ----------
+    name : str
+    corners : (n, 2) float64
+        x before y, px.
+    closed : bool
+        Whether the last one is joined to the first.
+    """
+
+    name: str
+    corners: Array
+    closed: bool = True
+
+
+def draw_labels(
+    image: Array, labels: Array, regions: Mapping[int, Region] | None = None, *, ids: bool = True
+) -> Array:
     """Tint each layer with its colour, outline it in light and dark, and write its id on it.
 
     Parameters
@@ -32,9 +53,11 @@ def draw_labels(image: Array, labels: Array, regions: Mapping[int, Region] | Non
     image : (H, W, 3) uint8
         BGR; not changed.
     labels : (H, W) uint16
-        An id's colour is that of :mod:`orchestrator.sinks.layer_colours`.
+        An id's colour is that of :mod:`orchestrator.pictures.layer_colours`.
     regions : mapping of int to Region, optional
         The bounding boxes of all layers present, if known; else they are computed.
+    ids : bool
+        Whether ids are written.
 
     Returns
     -------
@@ -59,8 +82,9 @@ def draw_labels(image: Array, labels: Array, regions: Mapping[int, Region] | Non
         cv2.copyTo(colour, mask, canvas)
         tinted = cv2.addWeighted(picture, 1 - _OPACITY, colour, _OPACITY, 0)
         cv2.copyTo(tinted, cv2.erode(mask, around), canvas)
-        x, y = _inner_point(mask)
-        texts.append((str(layer), (left + x, top + y)))
+        if ids:
+            x, y = _inner_point(mask)
+            texts.append((str(layer), (left + x, top + y)))
     digit_height = _text_height(drawn)
     for text, place in texts:
         _write(drawn, text, place, digit_height)
@@ -68,40 +92,39 @@ def draw_labels(image: Array, labels: Array, regions: Mapping[int, Region] | Non
 
 
 def draw_caption(image: Array, text: str) -> None:
-    """Write a line into the picture's upper left corner, in place."""
-    _write(image, text, (0, 0), _text_height(image))
+    """Write a line into the picture's upper left corner, in place; one too long for it in smaller letters."""
+    usual = _text_height(image)
+    heights = range(usual, _LEAST_CAPTION_PX - 1, -1)
+    fitting = (height for height in heights if _stencil(text, height)[0].shape[1] <= image.shape[1])
+    _write(image, text, (0, 0), next(fitting, usual))
 
 
-def draw_zones(
-    image: Array, zones: Sequence[Zone], shape: tuple[int, int], scene: ScenePlace | None = None
-) -> None:
-    """Draw thin outlines of zones, and lines, with their names, in place.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8
-    zones : sequence of Zone
-    shape : (H, W)
-        Size of the picture that the zones are for, which may be larger than ``image``.
-    scene : ScenePlace, optional
-        Where the scene is in that picture; zones that are fixed to it are left out without.
-    """
-    scale = image.shape[1] / shape[1], image.shape[0] / shape[0]
-    for zone in zones:
-        if zone.fixed_to == "picture":
-            places = np.array(zone.corners(shape))
-        elif scene is not None:
-            places = scene.forth(np.array(zone.corners(scene.shape)))
-        else:
-            continue
-        farthest = 10 * max(shape)  # OpenCV draws nothing of what is farther away than its integers reach
-        corners = np.rint(np.clip(places, -farthest, farthest) * scale).astype(np.int32)
+def draw_outlines(image: Array, outlines: Iterable[Outline]) -> None:
+    """Draw thin outlines and lines with their names, in place."""
+    for outline in outlines:
+        farthest = 10 * max(
+            image.shape
+        )  # OpenCV draws nothing of what is farther away than its integers reach
+        corners = np.rint(np.clip(outline.corners, -farthest, farthest)).astype(np.int32)
         if not len(corners) or not _in_picture(corners, image):
             continue
-        for colour, width in (((0, 0, 0), 3), (_ZONE, 1)):
-            cv2.polylines(image, [corners], zone.kind == "zone", colour, width, cv2.LINE_AA)
+        for colour, width in (((0, 0, 0), 3), (_OUTLINE, 1)):
+            cv2.polylines(image, [corners], outline.closed, colour, width, cv2.LINE_AA)
         x, y = corners.mean(axis=0).round().astype(int).tolist()
-        _write(image, zone.name, (x, y), _text_height(image) * 2 // 3)
+        _write(image, outline.name, (x, y), max(_text_height(image) * 2 // 3, _LEAST_NAME_PX))
+
+
+def draw_box(image: Array, box: tuple[int, int, int, int], layer: int, *, ids: bool = True) -> None:
+    """Draw a box (left, top, width, height, px) in the colour of a layer, with its id above, in place."""
+    left, top, width, height = box
+    line = max(1, round(min(image.shape[:2]) * _LINE_PX))
+    for colour, thickness in (((0, 0, 0), 3 * line + 1), (layer_colour(layer), line + 1)):
+        cv2.rectangle(image, (left, top), (left + width - 1, top + height - 1), colour, thickness)
+    if ids:
+        digits = _text_height(image)
+        above, below = top - digits, top + height + digits
+        y = above if above >= digits else min(below, image.shape[0])
+        _write(image, str(layer), (left + width // 2, y), digits)
 
 
 def _in_picture(corners: Array, image: Array) -> bool:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from mlbs_actors.messages import Array, Region
+from orchestrator.events.outlines import outlines
 from orchestrator.events.zones import Zone
-from orchestrator.sinks.drawing import draw_caption, draw_labels, draw_zones
-from orchestrator.sinks.layer_colours import COLOURS, layer_colour
+from orchestrator.pictures.drawing import draw_box, draw_caption, draw_labels, draw_outlines
+from orchestrator.pictures.layer_colours import COLOURS, layer_colour
 
 
 def lab(colours: Array) -> Array:
@@ -119,9 +120,39 @@ def test_a_zone_is_drawn_thin_where_it_is_in_a_smaller_picture_too() -> None:
     zone = Zone(name="z", polygon=((0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)))
     fence = Zone(name="f", kind="line", polygon=((80, 360), (720, 360)))
     drawn = np.full((200, 400, 3), 100, np.uint8)
-    draw_zones(drawn, [zone, fence], (400, 800))
+    draw_outlines(drawn, outlines([zone, fence], (400, 800), scale=0.5))
     assert (drawn[50, 120:280] > 200).all()
     assert (drawn[60:80, 100] > 200).all()
     assert (drawn[180, 50:150] > 200).all()
     assert (drawn[180, :30] == 100).all()
     assert (drawn == 100).all(axis=2).mean() > 0.9
+
+
+def test_a_caption_that_is_too_long_is_written_smaller() -> None:
+    picture = np.full((240, 160, 3), 90, np.uint8)
+    draw_caption(picture, "2026-05-04 11:15:31.7 CEST")
+    written = np.nonzero((picture == 255).all(axis=2))
+    assert written[1].max() < 158
+    assert written[0].max() < 16
+
+
+def test_without_ids_only_tints_and_outlines_are_drawn() -> None:
+    labels = square(200, 3)
+    plain = draw_labels(np.zeros((200, 200, 3), np.uint8), labels, ids=False)
+    assert not (plain == 255).all(axis=2).any()
+    assert len(np.unique(plain[60:140, 60:140].reshape(-1, 3), axis=0)) == 1
+
+
+@pytest.mark.parametrize("top", [0, 40, 170])
+def test_a_box_has_the_colour_of_its_object_and_the_id_beside_it(top: int) -> None:
+    picture = np.full((240, 320, 3), 90, np.uint8)
+    draw_box(picture, (100, top, 60, 70), 7)
+    colour = (picture == layer_colour(7)).all(axis=2)
+    assert colour[top + 35, 98:102].any()
+    assert not colour[:, 105:155].all(axis=0).any()
+    assert (picture[top + 10 : top + 60, 110:150] == 90).all()
+    digits = (picture == 255).all(axis=2)
+    assert digits.any()
+    without = np.full((240, 320, 3), 90, np.uint8)
+    draw_box(without, (100, top, 60, 70), 7, ids=False)
+    assert not (without == 255).all(axis=2).any()

@@ -1,0 +1,79 @@
+"""A frame with its labels, as the overlay and the monitor show it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+
+from mlbs_actors.messages import Array, Region
+from orchestrator.events.outlines import outlines
+from orchestrator.events.zones import Zone
+from orchestrator.pictures.content import Drawing
+from orchestrator.pictures.drawing import draw_caption, draw_labels, draw_outlines
+from orchestrator.rows.scene_place import ScenePlace
+
+__all__ = ["LabelledPicture"]
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledPicture:
+    """A frame and what is known of it.
+
+    Attributes
+    ----------
+    image : (H, W, 3) uint8
+        BGR.
+    labels : (H, W) uint16
+    index : int
+        Of the frame.
+    pts : float
+        s.
+    taken : float, optional
+        When a camera took it, seconds since 1970.
+    regions : mapping of int to Region, optional
+        The layers' bounding boxes, where they are known.
+    pixel_aspect : float
+        How wide a pixel is to be shown for its height.
+    scene : ScenePlace, optional
+        Where the zones are that are fixed to the scene.
+    """
+
+    image: Array
+    labels: Array
+    index: int
+    pts: float
+    taken: float | None = None
+    regions: Mapping[int, Region] | None = None
+    pixel_aspect: float = 1.0
+    scene: ScenePlace | None = None
+
+    def drawn(self, zones: Sequence[Zone], drawing: Drawing, most_width: int | None = None) -> Array:
+        """Draw labels, zones and a caption over the picture.
+
+        Parameters
+        ----------
+        zones : sequence of Zone
+        drawing : Drawing
+        most_width : int, optional
+            A wider picture is shrunk to it first.
+
+        Returns
+        -------
+        (h, w, 3) uint8
+        """
+        height, width = self.labels.shape
+        shown = self
+        if most_width is not None and width > most_width:
+            size = (most_width, max(1, round(height * most_width / width)))
+            image = cv2.resize(self.image, size, interpolation=cv2.INTER_AREA)
+            labels = cv2.resize(self.labels, size, interpolation=cv2.INTER_NEAREST)
+            shown = replace(self, image=image, labels=labels, regions=None)
+        picture = draw_labels(shown.image, shown.labels, shown.regions, ids=drawing.ids)
+        if drawing.zones:
+            scale = picture.shape[1] / width
+            draw_outlines(picture, outlines(zones, (height, width), self.scene, scale))
+        if caption := drawing.caption(self.index, self.pts, self.taken):
+            draw_caption(picture, caption)
+        return picture
