@@ -24,8 +24,9 @@ from mlbs_actors.messages import Array
 from mlbs_actors.source import SourceFrame, SourceSilence
 from orchestrator.sources import live
 from orchestrator.sources.address import parse_address
+from orchestrator.sources.connection import Connection, LibavConnection, connect
 from orchestrator.sources.libav import reason
-from orchestrator.sources.live import Connection, LibavConnection, LiveReader
+from orchestrator.sources.live import LiveReader
 from orchestrator.sources.live_buffer import CAPACITY, LiveBuffer, LiveTime, Picture, retry_seconds
 
 
@@ -114,7 +115,8 @@ def test_a_new_connection_goes_on_in_time_wherever_its_clock_begins() -> None:
 
 
 @pytest.mark.parametrize(
-    "camera", [[0, 0.1, 0.05, 0.2], [0, 0.1, 0.1, 0.2], [0, 0.1, 9e5, 9e5], [0, 0.1, -50, -50]]
+    "camera",
+    [[0, 0.1, 0.05, 0.2], [0, 0.1, 0.1, 0.2], [0, 0.1, 9e5, 9e5], [0, 0.1, -50, -50], [7, 7.1, 4, 4.1, 4.2]],
 )
 def test_a_clock_that_goes_back_stands_still_or_jumps_gives_times_near_the_arrival(
     camera: list[float],
@@ -421,13 +423,16 @@ def test_an_mjpeg_camera_is_read_over_http_and_reconnected(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     ("login", "path", "told"),
-    [("bob:hunter2", "page", "it sends no MJPEG"), ("bob:hunter3", "video", "user name or password refused")],
+    [
+        ("bob:hunter2", "page", "something of no stated type"),
+        ("bob:hunter3", "video", "user name or password refused"),
+    ],
 )
-def test_what_is_no_mjpeg_camera_is_told_without_its_password(
+def test_what_is_no_camera_over_http_is_told_without_its_password(
     tmp_path: Path, login: str, path: str, told: str
 ) -> None:
     with http_camera() as host, pytest.raises(SourceError, match=told) as caught:
-        LibavConnection(parse_address(f"http://{login}@{host}/{path}", tmp_path))
+        connect(parse_address(f"http://{login}@{host}/{path}", tmp_path))
     assert "hunter" not in f"{caught.value!r}"
 
 
