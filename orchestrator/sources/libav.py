@@ -7,6 +7,7 @@ streams better. What may be opened is limited by :mod:`orchestrator.sources.liba
 
 from __future__ import annotations
 
+from errno import EIO
 from typing import cast
 
 import av
@@ -78,7 +79,7 @@ def open_video(
         with av.logging.Capture() as log:
             container = av.open(
                 f"file:{location}" if kind is SourceKind.PATH else location,
-                format="v4l2" if kind is SourceKind.CAMERA else None,
+                format=policy.container,
                 # Not as options: PyAV frees more of those than it has where streams turn up late (MPEG-TS).
                 container_options=policy.container_options(location),
                 timeout=timeout_s,
@@ -104,6 +105,8 @@ def reason(error: Exception) -> str:
     for kind, words in _REASONS.items():
         if isinstance(error, kind):
             return words
+    if getattr(error, "errno", None) == EIO:
+        return "the connection broke off, or its host is unknown"  # libav does not tell them apart
     text = getattr(error, "strerror", None) or type(error).__name__
     return mask(str(text)).rstrip(".")
 

@@ -38,12 +38,15 @@ class LibavPolicy:
         What to say of data in no such container.
     options : mapping of str to str
         Further options of libav.
+    container : str, optional
+        The one that it must be, whatever it looks like.
     """
 
     protocols: str
     containers: str
     other: str
     options: Mapping[str, str] = field(default_factory=dict)
+    container: str | None = None
 
     def container_options(self, location: str) -> dict[str, str]:
         """Return all of it as options of libav, for one address."""
@@ -59,6 +62,8 @@ HLS = LibavPolicy(
     f"{_OVER_HTTP},crypto",
     "hls,mpegts,mov,mp4,m4a,3gp,3g2,mj2,aac,mp3,ac3,eac3,webvtt",
     "its playlist names no segment that can be read; try the playlist in a player",
+    # By itself libav believes neither the address nor the type that many servers state.
+    container="hls",
 )
 
 #: A video over HTTP that has no end.
@@ -71,7 +76,7 @@ HTTP_VIDEO = LibavPolicy(
 _FILE = LibavPolicy(
     "file", _FILES, "it is no video, or one whose recording was cut off before it was finished"
 )
-_DEVICE = LibavPolicy("", "video4linux2,v4l2", "it is no camera")
+_DEVICE = LibavPolicy("", "video4linux2,v4l2", "it is no camera", container="v4l2")
 _RTSP = LibavPolicy(
     "rtsp,rtp,srtp,udp,tcp,tls,crypto",
     "rtsp,sdp,rtp,mpegts,asf",
