@@ -12,7 +12,7 @@ import shlex
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from urllib.parse import parse_qsl, unquote
+from urllib.parse import parse_qsl, unquote, urlsplit
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
@@ -166,6 +166,13 @@ def _network_address(text: str) -> SourceAddress:
             "the camera's user name or password holds a / ? or #; write them %2F, %3F and %23 "
             "(and an @ of its path %40)"
         )
+    if text.startswith("http"):
+        try:
+            _ = urlsplit(text).port
+        except ValueError:
+            raise ConfigError(
+                "the host or the port cannot be read; brackets of a password are written %5B and %5D"
+            ) from None
     # The name is taken from the masked text: a password may look like any other part.
     visible = mask(text).partition("://")[2].partition("?")[0].rstrip("/")
     host_and_path = visible.rpartition("@")[2]

@@ -107,7 +107,7 @@ def _sniffed(head: bytes) -> str | None:
         return "application/vnd.apple.mpegurl"
     if b"\xff\xd8\xff" in head[:1024] or b"image/jpeg" in head[:1024].lower():
         return "image/jpeg"
-    if head.startswith(b"FLV\x01") or (head[:1] == b"G" and head[188:189] in (b"", b"G")):
+    if head.startswith(b"FLV\x01") or (head[:1] == head[188:189] == b"G"):
         return "video/mp2t"
     return None
 
