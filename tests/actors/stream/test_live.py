@@ -137,17 +137,20 @@ def test_tries_are_spread_and_their_distance_doubles_up_to_a_bound() -> None:
 
 
 class FakeConnection:
-    """Gives what the test puts in: numbers are pictures, an exception breaks it, None ends it."""
+    """Gives what the test puts in: numbers are pictures, an exception breaks it, None ends it.
+
+    The word "same" is a sign of life.
+    """
 
     def __init__(self) -> None:
-        self.sent: queue.SimpleQueue[float | SourceError | None] = queue.SimpleQueue()
+        self.sent: queue.SimpleQueue[float | str | SourceError | None] = queue.SimpleQueue()
         self.closed = False
 
-    def pictures(self) -> Iterator[Picture]:
+    def pictures(self) -> Iterator[Picture | None]:
         while (said := self.sent.get()) is not None:
             if isinstance(said, SourceError):
                 raise said
-            yield picture(7, said)
+            yield None if isinstance(said, str) else picture(7, said)
 
     def close(self) -> None:
         self.closed = True
@@ -208,7 +211,7 @@ def test_a_camera_that_refuses_four_times_is_read_all_the_same() -> None:
 
 def test_an_error_that_nobody_foresaw_is_a_lost_connection_and_its_text_is_not_shown() -> None:
     class Odd(FakeConnection):
-        def pictures(self) -> Iterator[Picture]:
+        def pictures(self) -> Iterator[Picture | None]:
             yield picture(1, 0.0)
             raise RuntimeError("rtsp://bob:hunter2@door")
 
@@ -311,6 +314,26 @@ def test_a_stall_that_ends_by_itself_is_a_gap_too() -> None:
     connection.sent.put(6.0)
     assert [(row.status, row.pts) for row in (bench.read(), bench.read())] == [("gap", 0.0), ("ok", 6.0)]
     bench.reader.close()
+
+
+def test_a_camera_that_says_that_nothing_is_newer_is_neither_stalled_nor_has_a_gap() -> None:
+    connection = FakeConnection()
+    bench = Bench([connection], give_up_after=60.0)
+    connection.sent.put(0.0)
+    bench.read()
+    for _ in range(10):
+        bench.now += 4.0
+        connection.sent.put("same")
+        # A reader that had not heard it would say, the second time, that the camera is stalled.
+        _wait_for(lambda: bench.reader.read() == SourceSilence(None) and connection.sent.empty(), 20)
+    connection.sent.put(40.0)
+    row = bench.read()
+    assert (row.index, row.status) == (1, "ok")
+    assert row.pts == pytest.approx(40.0)
+    bench.now += 61.0  # but who wants pictures does not wait for ever
+    connection.sent.put("same")
+    assert bench.reader.read() is None
+    assert "sent no picture for 60 s" in (bench.reader.problem or "")
 
 
 def test_a_camera_that_comes_and_goes_is_tried_less_and_less_often() -> None:
