@@ -14,6 +14,7 @@ import urllib.request
 from collections.abc import Callable, Mapping
 from email.message import Message
 from http.client import HTTPException, HTTPResponse
+from socket import gaierror
 from typing import IO
 from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
@@ -199,6 +200,8 @@ def _reason(error: Exception) -> str:
         return "no answer in time"
     if isinstance(inner, ConnectionRefusedError):
         return "Connection refused; check the port, and whether the camera is on"
+    if isinstance(inner, gaierror):
+        return "its host is unknown; check the name, and that this machine reaches its network"
     if isinstance(inner, OSError) and inner.strerror:
         return inner.strerror
     if isinstance(inner, HTTPException):

@@ -270,6 +270,12 @@ def test_nobody_at_a_port_is_told_with_what_to_check() -> None:
         next(pictures_at("http://127.0.0.1:9/x"))
 
 
+def test_a_host_that_nobody_knows_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("no_proxy", "*")
+    with pytest.raises(SourceError, match="its host is unknown; check the name"):
+        next(pictures_at("http://camera.invalid/x"))
+
+
 def test_a_camera_on_this_machine_is_not_asked_for_through_a_proxy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
     with web_server({"/v": page("multipart/x-mixed-replace", *PARTS)}) as host:
