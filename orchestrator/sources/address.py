@@ -1,7 +1,7 @@
 """The addresses of the list of streams: their kinds and meanings.
 
-Only these are accepted; anything else that libav could open (``concat:``, ``ftp:``, ``subfile:``, playlists
-…) is refused, because a list may come from somebody who should not read this machine's files or network.
+Only these are accepted; anything else that libav could open (``concat:``, ``ftp:``, ``subfile:`` …) is
+refused, because a list may come from somebody who should not read this machine's files or network.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import shlex
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from urllib.parse import parse_qsl, unquote
+from urllib.parse import parse_qsl, unquote, urlsplit
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
@@ -24,6 +24,12 @@ __all__ = ["SourceAddress", "SourceKind", "fixed_part", "has_wildcards", "parse_
 _MAX_ADDRESS_BYTES = 4096
 _SCHEME = re.compile(r"([^/:]*):")  # wider than the standard's: libav knows "subfile,,start,0,,:"
 _VIDEO_ENDINGS = frozenset({".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm"})
+_NETWORK_SCHEMES = ("rtsp", "rtsps", "http", "https", "rtmp", "rtmps", "srt", "udp", "tcp")
+#: Parts of a transport stream's address: host, port, and for UDP the network interface by its own address.
+_TRANSPORT_STREAM = re.compile(
+    r"(?:udp://@?(?P<group>[^/\s?#@:]*|\[[\da-fA-F:.]+\])|tcp://(?P<host>[^/\s?#@:]+|\[[\da-fA-F:.]+\]))"
+    r":(?P<port>\d{1,5})/?(?P<interface>\?localaddr=[\da-fA-F.:]+)?"
+)
 _CAMERA = re.compile(r"/dev/video\d{1,4}")
 
 
@@ -93,7 +99,9 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
     scheme = match[1].lower()
     text = scheme + text[match.end(1) :]
     match scheme:
-        case "rtsp" | "rtsps" | "http" | "https":
+        case "udp" | "tcp":
+            return _transport_stream_address(text, scheme)
+        case network if network in _NETWORK_SCHEMES:
             return _network_address(text)
         case "synthetic":
             return _synthetic_address(text)
@@ -113,8 +121,9 @@ def parse_address(text: str, folder: Path) -> SourceAddress:
             )
         case other:
             raise ConfigError(
-                f"{other[:40]!r} is no known kind of source; use a path, rtsp://, rtsps://, http://, "
-                "https:// or synthetic: (for a file whose name holds a colon, write ./NAME)"
+                f"{other[:40]!r} is no known kind of source; use a path, "
+                f"{', '.join(f'{one}://' for one in _NETWORK_SCHEMES)} or synthetic: "
+                "(for a file whose name holds a colon, write ./NAME)"
             )
 
 
@@ -149,7 +158,7 @@ def _network_address(text: str) -> SourceAddress:
         raise ConfigError(f"a camera's address is written {text.partition(':')[0]}://HOST/PATH")
     if text.startswith("http") and Path(match[1].partition("?")[0]).suffix.lower() in _VIDEO_ENDINGS:
         raise ConfigError(
-            "only cameras that send MJPEG are read over HTTP; download the video and name its file"
+            "only cameras are read over HTTP, no finished videos; download the video and name its file"
         )
     if "@" in match[1]:
         # libav would take what comes before the mark for the host, and ask the network for it.
@@ -157,11 +166,30 @@ def _network_address(text: str) -> SourceAddress:
             "the camera's user name or password holds a / ? or #; write them %2F, %3F and %23 "
             "(and an @ of its path %40)"
         )
+    if text.startswith("http"):
+        try:
+            _ = urlsplit(text).port
+        except ValueError:
+            raise ConfigError(
+                "the host or the port cannot be read; brackets of a password are written %5B and %5D"
+            ) from None
     # The name is taken from the masked text: a password may look like any other part.
     visible = mask(text).partition("://")[2].partition("?")[0].rstrip("/")
     host_and_path = visible.rpartition("@")[2]
     name = host_and_path.rpartition("/")[2] if "/" in host_and_path else host_and_path.partition(":")[0]
     return SourceAddress(SourceKind.NETWORK, text, Path(name).stem if "/" in host_and_path else name)
+
+
+def _transport_stream_address(text: str, scheme: str) -> SourceAddress:
+    match = _TRANSPORT_STREAM.fullmatch(text)
+    if match is None or not 0 < int(match["port"]) < 1 << 16 or (scheme == "tcp" and match["interface"]):
+        raise ConfigError(
+            "an MPEG-TS is named udp://@:PORT where it is sent to this machine, udp://@GROUP:PORT where it "
+            "is multicast (with ?localaddr=IP for the network interface of that address), or tcp://HOST:PORT"
+        )
+    host = match["group"] or match["host"] or ""
+    location = f"{scheme}://{host}:{match['port']}{match['interface'] or ''}"
+    return SourceAddress(SourceKind.NETWORK, location, host or f"{scheme}-{match['port']}")
 
 
 def _synthetic_address(text: str) -> SourceAddress:

@@ -9,7 +9,6 @@ quarantined.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 
 from mlbs_actors.messages import Array
 from mlbs_actors.source import SourceFrame, SourceStatus
+from orchestrator.sources.jpeg import is_cut_off_jpeg
 from orchestrator.sources.presence import images_of
 from orchestrator.sources.value_range import ValueRange
 
@@ -36,9 +36,6 @@ _PAGED_SUFFIXES = frozenset({".tif", ".tiff"})
 _SAMPLES = 8
 
 _PNG_END = b"IEND\xaeB`\x82"
-_JPEG_END = b"\xff\xd9"
-#: A marker, which in the coded picture only another one than a restart can be.
-_JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 
 
 def decode_image(data: bytes, flags: int = cv2.IMREAD_COLOR) -> Array | None:
@@ -60,15 +57,7 @@ def decode_image(data: bytes, flags: int = cv2.IMREAD_COLOR) -> Array | None:
 def _is_cut_off(data: bytes) -> bool:
     if data.startswith(b"\x89PNG"):
         return _PNG_END not in data
-    if not data.startswith(b"\xff\xd8\xff"):
-        return False
-    place = 2
-    # Segments are skipped by their length: one of them may hold a thumbnail, with an end of its own.
-    while marker := _JPEG_MARKER.search(data, place):
-        if marker[0] == _JPEG_END:
-            return False
-        place = marker.end() + int.from_bytes(data[marker.end() : marker.end() + 2], "big")
-    return True
+    return data.startswith(b"\xff\xd8\xff") and is_cut_off_jpeg(data)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,12 +1,13 @@
 """Common code of videos, network streams and cameras: opening by libav (PyAV) and converting pictures.
 
 Decoding is single-threaded: its result and its log then belong to the call, and one core serves several
-streams better. A file is opened by libav's ``file:`` protocol alone and as one of the known containers:
-playlists and ``concat:`` lists, which can name any file or address, are refused.
+streams better. What may be opened is limited by :mod:`orchestrator.sources.libav_policy`: a playlist or a
+``concat:`` list could name any file or address.
 """
 
 from __future__ import annotations
 
+from errno import EIO
 from typing import cast
 
 import av
@@ -22,33 +23,30 @@ from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
 from orchestrator.credentials import mask
 from orchestrator.sources.address import SourceAddress, SourceKind
+from orchestrator.sources.libav_policy import LibavPolicy, policy_of
 
 __all__ = ["open_video", "reason", "upright_bgr"]
 
-_CONTAINERS = (
-    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,mpegvideo,m4v,h264,hevc,av1,obu,ivf,vc1,flv,asf,"
-    "ogg,mjpeg,mxf,dv,gif,yuv4mpegpipe,nut,rm,wtv,dhav"
+_UNKNOWN_CODEC = (
+    "holds a video of a codec that cannot be decoded here; set the camera to H.264 or H.265, "
+    "or convert the file."
 )
-_OPTIONS = {
-    SourceKind.PATH: {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS},
-    SourceKind.NETWORK: {
-        "protocol_whitelist": "rtsp,rtp,srtp,udp,tcp,tls,crypto",
-        "format_whitelist": "rtsp,sdp,rtp,mpegts,asf",
-        # TCP loses no packets; but some cameras have UDP only.
-        "rtsp_transport": "udp+tcp",
-        "rtsp_flags": "prefer_tcp",
-    },
-    SourceKind.CAMERA: {"format_whitelist": "video4linux2,v4l2"},
-}
-_HTTP_OPTIONS = {
-    "protocol_whitelist": "http,https,httpproxy,tcp,tls,crypto",
-    "format_whitelist": "mpjpeg,mjpeg",
-    # The pictures have no times: libav would make some up.
-    "use_wallclock_as_timestamps": "1",
+
+_REASONS: dict[type[Exception], str] = {
+    av.error.ExitError: "no answer in time",
+    av.error.HTTPUnauthorizedError: (
+        "user name or password refused (a % in them is written %25 in the address)"
+    ),
+    av.error.HTTPForbiddenError: "the user of the address may not see this stream; check the camera's rights",
+    av.error.HTTPNotFoundError: "there is no stream at this path; the camera's manual names the right one",
+    av.error.ConnectionRefusedError: "Connection refused; check the port, and whether the camera is on",
+    av.error.InvalidDataError: "it is no video, or one whose recording was cut off before it was finished",
 }
 
 
-def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer, VideoStream, int]:
+def open_video(
+    address: SourceAddress, timeout_s: float, policy: LibavPolicy | None = None
+) -> tuple[InputContainer, VideoStream, int]:
     """Open a source and choose its first video stream.
 
     Parameters
@@ -57,6 +55,8 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
         Of kind PATH (a file), NETWORK or CAMERA.
     timeout_s : float
         Longest wait for an answer, here and in each later read, s.
+    policy : LibavPolicy, optional
+        What may be opened; by default that of the address.
 
     Returns
     -------
@@ -74,29 +74,27 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
     av.logging.set_level(av.logging.ERROR)
     av.logging.set_skip_repeated(False)
     kind, location = address.kind, address.location
-    is_http = kind is SourceKind.NETWORK and location.startswith("http")
+    policy = policy or policy_of(address)
     try:
         with av.logging.Capture() as log:
             container = av.open(
                 f"file:{location}" if kind is SourceKind.PATH else location,
-                format="v4l2" if kind is SourceKind.CAMERA else None,
+                format=policy.container,
                 # Not as options: PyAV frees more of those than it has where streams turn up late (MPEG-TS).
-                container_options=_HTTP_OPTIONS if is_http else _OPTIONS[kind],
+                container_options=policy.container_options(location),
                 timeout=timeout_s,
             )
     except (av.error.FFmpegError, OSError, ValueError) as error:
         # Neither the message nor the chained error may contain libav's text: it quotes the address.
-        other = is_http and isinstance(error, av.error.InvalidDataError)
-        why = (
-            "it sends no MJPEG, and nothing else is read over HTTP; download a video and name its file"
-            if other
-            else reason(error)
-        )
+        why = policy.other if isinstance(error, av.error.InvalidDataError) else reason(error)
         raise SourceError(f"Cannot open {address}: {why}.") from None
     if not container.streams.video:
         container.close()
         raise SourceError(f"{address} holds no video.")
     stream = container.streams.video[0]
+    if not stream.codec_context:  # PyAV declares that there is always one
+        container.close()
+        raise SourceError(f"{address} {_UNKNOWN_CODEC}")
     stream.thread_type = "NONE"
     stream.codec_context.thread_count = 1
     return container, stream, len(log)
@@ -104,12 +102,11 @@ def open_video(address: SourceAddress, timeout_s: float) -> tuple[InputContainer
 
 def reason(error: Exception) -> str:
     """Describe in a few words, without credentials, an error of libav."""
-    if isinstance(error, av.error.ExitError):
-        return "no answer in time"
-    if isinstance(error, av.error.HTTPUnauthorizedError):
-        return "user name or password refused (a % in them is written %25 in the address)"
-    if isinstance(error, av.error.InvalidDataError):
-        return "it is no video, or one whose recording was cut off before it was finished"
+    for kind, words in _REASONS.items():
+        if isinstance(error, kind):
+            return words
+    if getattr(error, "errno", None) == EIO:
+        return "the connection broke off, or its host is unknown"  # libav does not tell them apart
     text = getattr(error, "strerror", None) or type(error).__name__
     return mask(str(text)).rstrip(".")
 

@@ -9,20 +9,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from datetime import datetime
 from functools import partial
-from typing import Protocol
-
-import av
-import av.error
-import av.logging
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.source import SourceFrame, SourceSilence
 from orchestrator.sources.address import SourceAddress
-from orchestrator.sources.libav import open_video, reason, upright_bgr
+from orchestrator.sources.connection import Connection, connect
 from orchestrator.sources.live_buffer import (
     LONGEST_RETRY_SECONDS,
     STALL_SECONDS,
@@ -32,70 +26,16 @@ from orchestrator.sources.live_buffer import (
     retry_seconds,
 )
 
-__all__ = ["Connection", "LibavConnection", "LiveReader"]
+__all__ = ["LiveReader"]
 
 #: Longest time until :meth:`LiveReader.read` answers, s.
 _ANSWER_SECONDS = 0.5
-
-#: Silence after which libav closes a connection, s.
-_DEAD_SECONDS = 2 * STALL_SECONDS
 
 #: Silence after which a connection is abandoned with its thread, s: a device whose driver hangs ends no call.
 _HUNG_SECONDS = 3 * STALL_SECONDS
 
 #: A connection that lasted this long was good, so the next attempt follows soon, s.
 _GOOD_SECONDS = 10.0
-
-
-class Connection(Protocol):
-    """An open connection to a camera."""
-
-    def pictures(self) -> Iterator[Picture]:
-        """Yield the camera's pictures as they come; SourceError if the connection is lost."""
-
-    def close(self) -> None:
-        """Close the connection."""
-
-
-class LibavConnection:
-    """A connection made by libav.
-
-    Parameters
-    ----------
-    address : SourceAddress
-        Of kind NETWORK or CAMERA.
-    clock : callable
-        Monotonic time, s.
-
-    Raises
-    ------
-    SourceError
-        If the camera cannot be reached or sends no video; the message hides credentials.
-    """
-
-    def __init__(self, address: SourceAddress, clock: Callable[[], float] = time.monotonic) -> None:
-        self._container, self._stream, _ = open_video(address, _DEAD_SECONDS)
-        self._clock = clock
-
-    def pictures(self) -> Iterator[Picture]:
-        """Yield the camera's pictures; those damaged in transmission are skipped, as players do."""
-        with av.logging.Capture():
-            try:
-                asked = self._clock()
-                for packet in self._container.demux(self._stream):
-                    # After its timeout libav returns a partial picture and continues.
-                    if self._clock() - asked >= _DEAD_SECONDS:
-                        raise SourceError("no answer in time")
-                    with suppress(av.error.InvalidDataError):
-                        for frame in packet.decode():
-                            yield Picture(frame.time, partial(upright_bgr, frame), frame.is_corrupt)
-                    asked = self._clock()
-            except (av.error.FFmpegError, OSError) as error:
-                raise SourceError(reason(error)) from None
-
-    def close(self) -> None:
-        """Close the connection."""
-        self._container.close()
 
 
 class LiveReader:
@@ -152,7 +92,7 @@ class LiveReader:
     @classmethod
     def of(cls, address: SourceAddress, give_up_after: float | None = None) -> LiveReader:
         """Read the camera at an address."""
-        return cls(str(address), partial(LibavConnection, address), give_up_after)
+        return cls(str(address), partial(connect, address), give_up_after)
 
     def read(self) -> SourceFrame | SourceSilence | None:
         """Return the next frame, drop or gap, or that there is none at present; None at the end."""
@@ -234,16 +174,19 @@ class LiveReader:
             for picture in connection.pictures():
                 if not self._take(number, picture, returned):
                     break
-                returned = False
+                returned = returned and picture is None
         finally:
             connection.close()
         return "it ended the connection"
 
-    def _take(self, number: int, picture: Picture, returned: bool) -> bool:
+    def _take(self, number: int, picture: Picture | None, returned: bool) -> bool:
         with self._changed:
             if number != self._newest:
                 return False
             now = self._clock()
+            if picture is None:
+                self._last_sign = now
+                return True
             if returned or (self._delivered and now - self._last_sign > STALL_SECONDS):
                 self._buffer.gap(self._time.last)
             pts = self._time.of(picture.time, now)

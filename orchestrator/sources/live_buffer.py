@@ -31,6 +31,9 @@ _FIRST_RETRY_SECONDS = 0.5
 #: Largest deviation of a camera's clock from this machine's before it is reset, s.
 _MOST_DRIFT_SECONDS = 5.0
 
+#: A camera's time that goes back by more than this begins anew, as where recordings were joined, s.
+_LEAST_RESTART_SECONDS = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class Picture:
@@ -67,6 +70,7 @@ class LiveTime:
     def __init__(self) -> None:
         self._began: float | None = None
         self._offset: float | None = None
+        self._camera_time = -math.inf
         self.last = 0.0
         self._late, self._least_late = 0.0, math.inf
 
@@ -82,7 +86,10 @@ class LiveTime:
         if camera_time is None:
             pts = arrived
         else:
-            if self._offset is None or abs(camera_time + self._offset - arrived) > _MOST_DRIFT_SECONDS:
+            restarted = camera_time < self._camera_time - _LEAST_RESTART_SECONDS
+            self._camera_time = camera_time
+            drift = 0.0 if self._offset is None else camera_time + self._offset - arrived
+            if self._offset is None or restarted or abs(drift) > _MOST_DRIFT_SECONDS:
                 self._offset, self._least_late = arrived - camera_time, math.inf
             pts = camera_time + self._offset
         self.last = max(self.last, pts)

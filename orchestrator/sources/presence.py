@@ -19,6 +19,7 @@ from pathlib import Path
 
 from mlbs_actors.errors import SourceError
 from orchestrator.sources.address import SourceAddress, SourceKind, fixed_part, has_wildcards
+from orchestrator.sources.libav_policy import has_protocol
 
 __all__ = [
     "holds_images",
@@ -82,7 +83,7 @@ def parts_of(source: SourceAddress) -> list[SourceAddress]:
 def require_source(address: SourceAddress) -> None:
     """Check that there is something to open; cheap, and nothing is decoded.
 
-    A camera need not be there yet.
+    A camera need not be there yet, but libav must know its protocol.
 
     Raises
     ------
@@ -94,6 +95,11 @@ def require_source(address: SourceAddress) -> None:
             _require_path(address)
         except OSError as error:
             raise SourceError(f"{address} cannot be read: {error.strerror}; check the path.") from None
+    elif address.location.startswith("srt:") and not has_protocol("srt"):
+        raise SourceError(
+            f"{address} cannot be read, because the installed libav has no SRT; have its sender, or a relay "
+            "such as MediaMTX, offer the stream over RTSP too, and name that address."
+        )
 
 
 def _require_path(address: SourceAddress) -> None:

@@ -24,8 +24,9 @@ from mlbs_actors.messages import Array
 from mlbs_actors.source import SourceFrame, SourceSilence
 from orchestrator.sources import live
 from orchestrator.sources.address import parse_address
+from orchestrator.sources.connection import Connection, LibavConnection, connect
 from orchestrator.sources.libav import reason
-from orchestrator.sources.live import Connection, LibavConnection, LiveReader
+from orchestrator.sources.live import LiveReader
 from orchestrator.sources.live_buffer import CAPACITY, LiveBuffer, LiveTime, Picture, retry_seconds
 
 
@@ -114,7 +115,8 @@ def test_a_new_connection_goes_on_in_time_wherever_its_clock_begins() -> None:
 
 
 @pytest.mark.parametrize(
-    "camera", [[0, 0.1, 0.05, 0.2], [0, 0.1, 0.1, 0.2], [0, 0.1, 9e5, 9e5], [0, 0.1, -50, -50]]
+    "camera",
+    [[0, 0.1, 0.05, 0.2], [0, 0.1, 0.1, 0.2], [0, 0.1, 9e5, 9e5], [0, 0.1, -50, -50], [7, 7.1, 4, 4.1, 4.2]],
 )
 def test_a_clock_that_goes_back_stands_still_or_jumps_gives_times_near_the_arrival(
     camera: list[float],
@@ -135,17 +137,20 @@ def test_tries_are_spread_and_their_distance_doubles_up_to_a_bound() -> None:
 
 
 class FakeConnection:
-    """Gives what the test puts in: numbers are pictures, an exception breaks it, None ends it."""
+    """Gives what the test puts in: numbers are pictures, an exception breaks it, None ends it.
+
+    The word "same" is a sign of life.
+    """
 
     def __init__(self) -> None:
-        self.sent: queue.SimpleQueue[float | SourceError | None] = queue.SimpleQueue()
+        self.sent: queue.SimpleQueue[float | str | SourceError | None] = queue.SimpleQueue()
         self.closed = False
 
-    def pictures(self) -> Iterator[Picture]:
+    def pictures(self) -> Iterator[Picture | None]:
         while (said := self.sent.get()) is not None:
             if isinstance(said, SourceError):
                 raise said
-            yield picture(7, said)
+            yield None if isinstance(said, str) else picture(7, said)
 
     def close(self) -> None:
         self.closed = True
@@ -206,7 +211,7 @@ def test_a_camera_that_refuses_four_times_is_read_all_the_same() -> None:
 
 def test_an_error_that_nobody_foresaw_is_a_lost_connection_and_its_text_is_not_shown() -> None:
     class Odd(FakeConnection):
-        def pictures(self) -> Iterator[Picture]:
+        def pictures(self) -> Iterator[Picture | None]:
             yield picture(1, 0.0)
             raise RuntimeError("rtsp://bob:hunter2@door")
 
@@ -309,6 +314,26 @@ def test_a_stall_that_ends_by_itself_is_a_gap_too() -> None:
     connection.sent.put(6.0)
     assert [(row.status, row.pts) for row in (bench.read(), bench.read())] == [("gap", 0.0), ("ok", 6.0)]
     bench.reader.close()
+
+
+def test_a_camera_that_says_that_nothing_is_newer_is_neither_stalled_nor_has_a_gap() -> None:
+    connection = FakeConnection()
+    bench = Bench([connection], give_up_after=60.0)
+    connection.sent.put(0.0)
+    bench.read()
+    for _ in range(10):
+        bench.now += 4.0
+        connection.sent.put("same")
+        # A reader that had not heard it would say, the second time, that the camera is stalled.
+        _wait_for(lambda: bench.reader.read() == SourceSilence(None) and connection.sent.empty(), 20)
+    connection.sent.put(40.0)
+    row = bench.read()
+    assert (row.index, row.status) == (1, "ok")
+    assert row.pts == pytest.approx(40.0)
+    bench.now += 61.0  # but who wants pictures does not wait for ever
+    connection.sent.put("same")
+    assert bench.reader.read() is None
+    assert "sent no picture for 60 s" in (bench.reader.problem or "")
 
 
 def test_a_camera_that_comes_and_goes_is_tried_less_and_less_often() -> None:
@@ -421,13 +446,16 @@ def test_an_mjpeg_camera_is_read_over_http_and_reconnected(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     ("login", "path", "told"),
-    [("bob:hunter2", "page", "it sends no MJPEG"), ("bob:hunter3", "video", "user name or password refused")],
+    [
+        ("bob:hunter2", "page", "something of no stated type"),
+        ("bob:hunter3", "video", "user name or password refused"),
+    ],
 )
-def test_what_is_no_mjpeg_camera_is_told_without_its_password(
+def test_what_is_no_camera_over_http_is_told_without_its_password(
     tmp_path: Path, login: str, path: str, told: str
 ) -> None:
     with http_camera() as host, pytest.raises(SourceError, match=told) as caught:
-        LibavConnection(parse_address(f"http://{login}@{host}/{path}", tmp_path))
+        connect(parse_address(f"http://{login}@{host}/{path}", tmp_path))
     assert "hunter" not in f"{caught.value!r}"
 
 
