@@ -34,6 +34,9 @@ from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
 __all__ = ["Job"]
 
+#: Options on which the reader of a stream depends.
+_OF_READER = {"max_side", "give_up_after"}
+
 #: A stream of which no file says anything.
 _NOBODY = ListedStream("", parse_address("synthetic:demo", Path("/")), None)
 
@@ -124,31 +127,39 @@ class Job:
         self._gone = (self._gone | set(change.removed)) - {stream.name for stream in change.added}
         self._settings = self._asked()
         added = {stream.name for stream in change.added}
-        restarted, configured = [], []
+        reopened: list[StreamSpec] = []
+        restarted: list[tuple[StreamSpec, bool]] = []
+        configured: list[tuple[StreamSpec, object]] = []
         for name, now in self._settings.items():
             if name in self._gone or name in added or name not in before:
                 continue
             same_source = sources[name] == self._streams[name].source
             effects = self._told_changes(name, before[name], now, same_source=same_source)
             spec = self._spec(self._streams[name])
-            if not same_source or effects & {Effect.RESTART, Effect.EPOCH}:
-                same_reader = same_source and Effect.EPOCH not in effects
+            if {Effect.RESTART, Effect.EPOCH}.intersection(effects.values()) or not (
+                same_source or spec.live
+            ):
+                same_reader = same_source and not effects.keys() & _OF_READER
                 restarted.append((spec, same_reader))
-            elif effects:
+                continue
+            if not same_source:
+                reopened.append(spec)
+            if effects:
                 configured.append((spec, now.rules))
         self.keep_description(change.text)
         return SpecChange(
             tuple(map(self._spec, change.added)),
             change.removed,
             {one.name: (one.was, partial(self._rename, one)) for one in change.added if one.was is not None},
+            tuple(reopened),
             tuple(restarted),
             tuple(configured),
         )
 
     def _told_changes(
         self, name: str, before: StreamSettings, now: StreamSettings, *, same_source: bool
-    ) -> set[Effect]:
-        """Say what is other for a stream from now on; return when that takes effect."""
+    ) -> dict[str, Effect]:
+        """Say what is other for a stream from now on; return these options, with when they take effect."""
         was, is_now = before.described(), now.described()
         effects = changes_between(was, is_now)
         words = [] if same_source else [f"it is at {self._streams[name].source} now"]
@@ -160,7 +171,7 @@ class Job:
         if words:
             epoch = "; a new epoch begins" if Effect.EPOCH in effects.values() else ""
             self._say(f"From now on for {name}: {', '.join(words)}{epoch}.")
-        return set(effects.values())
+        return effects
 
     def _rename(self, stream: ListedStream) -> None:
         """Take up a stream that had another name; what was recorded of it is not written to any more."""
