@@ -122,39 +122,45 @@ class Job:
         if change is None and not self._has_other_zones():
             return None
         change = change or ListChange((), (), ())
-        before, sources = self._settings, {name: one.source for name, one in self._streams.items()}
+        before = dict(self._streams), self._settings
         self._streams |= {stream.name: stream for stream in (*change.added, *change.changed)}
         self._gone = (self._gone | set(change.removed)) - {stream.name for stream in change.added}
         self._settings = self._asked()
-        added = {stream.name for stream in change.added}
+        known = before[0].keys() - self._gone - {stream.name for stream in change.added}
+        changed = self._changed(*before, [name for name in self._streams if name in known])
+        self.keep_description(change.text)
+        return replace(
+            changed,
+            added=tuple(map(self._spec, change.added)),
+            removed=change.removed,
+            renamed={
+                one.name: (one.was, partial(self._rename, one)) for one in change.added if one.was is not None
+            },
+        )
+
+    def _changed(
+        self,
+        streams: Mapping[str, ListedStream],
+        settings: Mapping[str, StreamSettings],
+        names: Sequence[str],
+    ) -> SpecChange:
+        """Return what is to become of streams that are other than they were, by these names."""
         reopened: list[StreamSpec] = []
         restarted: list[tuple[StreamSpec, bool]] = []
         configured: list[tuple[StreamSpec, object]] = []
-        for name, now in self._settings.items():
-            if name in self._gone or name in added or name not in before:
-                continue
-            same_source = sources[name] == self._streams[name].source
-            effects = self._told_changes(name, before[name], now, same_source=same_source)
+        for name in names:
+            now, same_source = self._settings[name], streams[name].source == self._streams[name].source
+            effects = self._told_changes(name, settings[name], now, same_source=same_source)
             spec = self._spec(self._streams[name])
-            if {Effect.RESTART, Effect.EPOCH}.intersection(effects.values()) or not (
-                same_source or spec.live
-            ):
-                same_reader = same_source and not effects.keys() & _OF_READER
-                restarted.append((spec, same_reader))
+            is_other_file = not same_source and not spec.live
+            if is_other_file or {Effect.RESTART, Effect.EPOCH}.intersection(effects.values()):
+                restarted.append((spec, same_source and not effects.keys() & _OF_READER))
                 continue
             if not same_source:
                 reopened.append(spec)
-            if effects:
+            if "rules" in effects:
                 configured.append((spec, now.rules))
-        self.keep_description(change.text)
-        return SpecChange(
-            tuple(map(self._spec, change.added)),
-            change.removed,
-            {one.name: (one.was, partial(self._rename, one)) for one in change.added if one.was is not None},
-            tuple(reopened),
-            tuple(restarted),
-            tuple(configured),
-        )
+        return SpecChange(reopened=tuple(reopened), restarted=tuple(restarted), configured=tuple(configured))
 
     def _told_changes(
         self, name: str, before: StreamSettings, now: StreamSettings, *, same_source: bool
