@@ -52,12 +52,14 @@ class Camera:
     def of(cls, name: str, rules: EventRules) -> Camera:
         """Return that of a stream whose events follow these rules."""
         zones = tuple(zone.name for zone in rules.zones if zone.kind == "zone")
-        return cls(name, zones, tuple(zone.name for zone in rules.zones if zone.kind == "line"))
+        lines = tuple(zone.name for zone in rules.zones if zone.kind == "line")
+        return cls(name, zones, lines, tuple(rule.name for rule in rules.rules))
 
     def wanted(self, by: EventFilter) -> Camera:
         """Return what of it a target's filter names."""
         zones, lines = (_named(names, by.zones) for names in (self.zones, self.lines))
-        return Camera(self.name, zones, lines, _named(self.rules, by.rules))
+        rules = _named(self.rules, by.rules) if "rule" in by.wanted_kinds else ()
+        return Camera(self.name, zones, lines, rules)
 
 
 class HomeAssistant:
@@ -205,7 +207,7 @@ class HomeAssistant:
         for rule in camera.rules:
             topic = self._topic(camera.name, "rules", rule)
             yield "event", topic, {"name": rule, "state_topic": topic, "event_types": [_MET], "qos": 1}
-        if camera.zones or camera.lines:
+        if camera.zones or camera.lines or camera.rules:
             topic = self._topic(camera.name, "picture")
             yield (
                 "image",
