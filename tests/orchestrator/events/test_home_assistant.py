@@ -194,6 +194,10 @@ def test_entities_of_what_is_gone_go_in_a_run_and_after_it(
         wait_until(lambda: set(home.states()) == {"gate: yard occupancy", "gate: yard objects"})
         deliveries.retarget([parse_target(broker.url)])
         wait_until(lambda: not home.entities)
+        deliveries.retarget([target_of(broker)])
+        wait_until(lambda: len(home.states()) == 2)
+        deliveries.retarget([])
+        wait_until(lambda: not home.entities)
 
 
 PROGRAM = """

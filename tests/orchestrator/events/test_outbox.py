@@ -283,6 +283,15 @@ def test_a_kill_at_every_step_loses_nothing_and_repeats_an_event_only_between_an
     assert step > 30
 
 
+def test_no_memory_is_shared_as_the_folder_may_be_on_a_network(tmp_path: Path) -> None:
+    outbox = Outbox(tmp_path / "outbox")
+    outbox.retarget({"a": EventFilter()})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["outbox", "outbox-wal"]
+    with pytest.raises(sqlite3.OperationalError, match="locked"):
+        sqlite3.connect(tmp_path / "outbox", timeout=0).execute("SELECT * FROM targets")
+    outbox.close()
+
+
 def test_what_a_full_disk_does_not_allow_is_done_later(tmp_path: Path) -> None:
     stream = Stream(tmp_path / "gate")
     outbox = Outbox(tmp_path / "outbox")
