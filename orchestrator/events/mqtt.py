@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import ssl
 import threading
+import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any
@@ -18,6 +19,9 @@ __all__ = ["Mqtt"]
 
 #: How long an end in order may take, s.
 _FAREWELL_SECONDS = 1.0
+
+#: Between two looks at whether the connection has ended, s.
+_LOOK_SECONDS = 0.1
 
 
 class Mqtt:
@@ -63,7 +67,7 @@ class Mqtt:
         if self._home is not None and client.is_connected():
             farewell = client.publish(self._home.status, OFFLINE, qos=1, retain=True)
             with suppress(ValueError, RuntimeError):
-                farewell.wait_for_publish(_FAREWELL_SECONDS)
+                _is_accepted(client, farewell, _FAREWELL_SECONDS)
         client.disconnect()
         client.loop_stop()
 
@@ -71,9 +75,7 @@ class Mqtt:
         client = self._connect()
         try:
             sent = [client.publish(topic, text, qos=1, retain=retain) for topic, text in messages]
-            for message in sent:
-                message.wait_for_publish(ANSWER_SECONDS)
-            accepted = all(message.is_published() for message in sent)
+            accepted = all(_is_accepted(client, message, ANSWER_SECONDS) for message in sent)
         except (OSError, ValueError, RuntimeError) as error:
             self.close()
             raise DeliveryError(str(error) or type(error).__name__) from None
@@ -128,3 +130,11 @@ class Mqtt:
         client.disconnect()
         client.loop_stop()
         raise OSError(f"it refuses: {refused[0]}" if refused else "it does not answer")
+
+
+def _is_accepted(client: Any, message: Any, seconds: float) -> bool:
+    """Wait for the acknowledgement of a message for so long, or until the connection ends."""
+    until = time.monotonic() + seconds
+    while client.is_connected() and not message.is_published() and time.monotonic() < until:
+        message.wait_for_publish(_LOOK_SECONDS)
+    return bool(message.is_published())

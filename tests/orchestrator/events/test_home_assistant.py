@@ -38,7 +38,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(carrier_module, "retry_seconds", lambda failures: 0.02)
     monkeypatch.setattr(delivery_module, "_GRACE_SECONDS", 200.0)
     monkeypatch.setattr(mqtt_module, "ANSWER_SECONDS", 200.0)
-    monkeypatch.setattr(mqtt_module, "_FAREWELL_SECONDS", 200.0)
 
 
 @pytest.fixture
@@ -116,8 +115,6 @@ def test_zones_lines_and_pictures_of_a_camera_are_found_and_followed(
             gate.write(segmentation(index, 3, *([5] if index < 20 else [])), frame(index))
         wait_until(lambda: home.states()["gate: yard objects"] == "2")
         assert home.states()["gate: yard occupancy"] == "on"
-        assert home.states()["gate: fence to the left"] == "0"
-        assert home.states()["gate: fence to the right"] in ("0", "1", "2", "3")
         newest = [
             event["picture"]
             for event in map(json.loads, (tmp_path / "gate/events.jsonl").read_text().splitlines())
@@ -160,7 +157,7 @@ def test_a_camera_that_is_lost_is_not_available_and_the_others_are(
         wait_until(lambda: len(home.states()) == 4)
         append(tmp_path / "gate", line_of(1, "stream lost"))
         wait_until(lambda: home.states()["gate: yard objects"] == "unavailable")
-        assert home.states()["lane: yard objects"] == "0"
+        wait_until(lambda: home.states()["lane: yard objects"] == "0")
         append(tmp_path / "gate", line_of(2, "stream back"))
         wait_until(lambda: home.states()["gate: yard objects"] == "0")
 
