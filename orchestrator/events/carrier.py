@@ -79,13 +79,10 @@ class Carrier:
         self._key = target.key
         self._mail = mail
         self._failures = 0
-        self._unnoted: tuple[int, bool] | None = (
-            None  # place of an event that was sent, and if it was refused
-        )
-        self._told: tuple[object, dict[str, bytes]] = (
-            None,
-            {},
-        )  # what Home Assistant is told, and its causes
+        # Place of an event that was sent, and whether it was refused.
+        self._unnoted: tuple[int, bool] | None = None
+        # What Home Assistant is told, behind what that was made of.
+        self._told: tuple[object, dict[str, bytes]] = (None, {})
         self._is_gone = False
         self._news, self._hurry = threading.Event(), threading.Event()
         self._last_look, self._stop = threading.Event(), threading.Event()

@@ -20,7 +20,7 @@ from orchestrator.events.event_filter import EventFilter
 from orchestrator.events.targets import EventTarget
 from orchestrator.events.zones import EventRules
 
-__all__ = ["OFFLINE", "Camera", "HomeAssistant"]
+__all__ = ["OFFLINE", "Camera", "HomeAssistant", "topics_of"]
 
 #: The two messages of availability.
 _ONLINE, OFFLINE = b"online", b"offline"
@@ -214,6 +214,16 @@ class HomeAssistant:
                 topic,
                 {"name": "event picture", "image_topic": topic, "content_type": "image/jpeg"},
             )
+
+
+def topics_of(config: bytes) -> set[str]:
+    """Return the topics of an entity's states, by the message by which it is discovered."""
+    try:
+        found = json.loads(config)
+        states = {found[key] for key in ("state_topic", "image_topic") if key in found}
+        return states | {one["topic"] for one in found["availability"]}
+    except (ValueError, KeyError, TypeError):  # somebody else's
+        return set()
 
 
 def _named(names: tuple[str, ...], wanted: tuple[str, ...] | None) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Any
 from urllib.parse import urlsplit
 
-from orchestrator.events.home_assistant import OFFLINE, HomeAssistant
+from orchestrator.events.home_assistant import OFFLINE, HomeAssistant, topics_of
 from orchestrator.events.senders import ANSWER_SECONDS, DeliveryError
 from orchestrator.events.targets import MQTT_PORTS, EventTarget
 
@@ -64,7 +64,7 @@ class Mqtt:
         client, self._client = self._client, None
         if client is None:
             return
-        if self._home is not None and client.is_connected():
+        if self._home is not None and self._home.status in self._held and client.is_connected():
             farewell = client.publish(self._home.status, OFFLINE, qos=1, retain=True)
             with suppress(ValueError, RuntimeError):
                 _is_accepted(client, farewell, _FAREWELL_SECONDS)
@@ -111,7 +111,7 @@ class Mqtt:
 
         def received(_client: object, _data: object, message: Any) -> None:
             if message.retain and message.payload:
-                self._found |= {message.topic}
+                self._found |= {message.topic, *topics_of(message.payload)}
 
         parts = urlsplit(self._target.url)
         client = Client(CallbackAPIVersion.VERSION2, reconnect_on_failure=False)

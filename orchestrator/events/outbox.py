@@ -45,8 +45,8 @@ CREATE TABLE IF NOT EXISTS taken (
 ) WITHOUT ROWID;
 """
 
-#: Events of a stream behind its last final one whose ids are still known: so many fewer can come again before
-#: them than there were, if other rules hold by then.
+#: For so many final events of a stream the ids of those before are still known: when it has gone back, an
+#: event can come again so much later in the file than before, as other rules may hold by then.
 _REMEMBERED = 1000
 
 

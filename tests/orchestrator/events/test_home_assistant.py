@@ -76,6 +76,23 @@ def append(folder: Path, *lines: str) -> None:
         file.writelines(lines)
 
 
+def retained(broker: Mosquitto) -> list[str]:
+    """Return the topics of all messages that a broker holds."""
+    mqtt = pytest.importorskip("paho.mqtt.client")
+    topics: list[str] = []
+    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+    client.username_pw_set("bob", "s3cret")
+    client.on_subscribe = lambda one, *_: one.publish("that is all")
+    client.on_message = lambda _, __, message: topics.append(message.topic)
+    client.on_connect = lambda one, *_: one.subscribe("#")
+    client.connect("127.0.0.1", broker.port)
+    client.loop_start()
+    wait_until(lambda: "that is all" in topics)
+    client.disconnect()
+    client.loop_stop()
+    return topics[:-1]
+
+
 def test_all_names_give_valid_topics_and_ids_that_are_unique(tmp_path: Path) -> None:
     target = replace(parse_target("mqtt://host/yard/events"), home_assistant="homeassistant")
     names = ("a b", "ä/#+", "a_b", "a", "%2F", "/", "b")
@@ -195,6 +212,7 @@ def test_entities_of_what_is_gone_go_in_a_run_and_after_it(
         wait_until(lambda: len(home.states()) == 2)
         deliveries.retarget([])
         wait_until(lambda: not home.entities)
+    assert retained(broker) == []
 
 
 PROGRAM = """
