@@ -20,7 +20,7 @@ from orchestrator.events.event_filter import EventFilter
 from orchestrator.events.targets import EventTarget
 from orchestrator.events.zones import EventRules
 
-__all__ = ["OFFLINE", "Camera", "HomeAssistant", "topics_of"]
+__all__ = ["OFFLINE", "Camera", "HomeAssistant", "states_of"]
 
 #: The two messages of availability.
 _ONLINE, OFFLINE = b"online", b"offline"
@@ -216,11 +216,12 @@ class HomeAssistant:
             )
 
 
-def topics_of(config: bytes) -> set[str]:
-    """Return the topics of an entity's states, by the message by which it is discovered."""
+def states_of(config: bytes) -> set[str]:
+    """Return the topics of an entity's retained states, by the message by which it is discovered."""
     try:
         found = json.loads(config)
-        states = {found[key] for key in ("state_topic", "image_topic") if key in found}
+        key = "image_topic" if "image_topic" in found else "state_topic"
+        states = set() if "event_types" in found else {found[key]}
         return states | {one["topic"] for one in found["availability"]}
     except (ValueError, KeyError, TypeError):  # somebody else's
         return set()

@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Any
 from urllib.parse import urlsplit
 
-from orchestrator.events.home_assistant import OFFLINE, HomeAssistant, topics_of
+from orchestrator.events.home_assistant import OFFLINE, HomeAssistant, states_of
 from orchestrator.events.senders import ANSWER_SECONDS, DeliveryError
 from orchestrator.events.targets import MQTT_PORTS, EventTarget
 
@@ -39,8 +39,9 @@ class Mqtt:
         self._home = home
         self._client: Any = None
         self._held: dict[str, bytes] = {}
-        # What the broker holds of an earlier run; replaced by the client's own thread.
-        self._found: frozenset[str] = frozenset()
+        # What the broker held before: of each topic of discovery, that and those of the entity's states. The
+        # client's own thread replaces it.
+        self._found: dict[str, set[str]] = {}
         self._emptied: set[str] = set()
 
     def send(self, event: bytes) -> None:
@@ -53,7 +54,9 @@ class Mqtt:
     def hold(self, messages: Mapping[str, bytes]) -> None:
         """Publish what has changed of the retained messages, or all if the connection is new."""
         self._connect()  # it may be a new one, which has held nothing
-        gone = (self._held.keys() | (self._found - self._emptied)) - messages.keys()
+        known = messages.keys() | self._emptied
+        earlier = {topic for found, states in self._found.items() if found not in known for topic in states}
+        gone = (self._held.keys() | earlier) - messages.keys()
         changed = [(topic, text) for topic, text in messages.items() if self._held.get(topic) != text]
         self._publish([*changed, *((topic, b"") for topic in sorted(gone))], retain=True)
         self._emptied |= gone
@@ -111,7 +114,7 @@ class Mqtt:
 
         def received(_client: object, _data: object, message: Any) -> None:
             if message.retain and message.payload:
-                self._found |= {message.topic, *topics_of(message.payload)}
+                self._found = self._found | {message.topic: {message.topic, *states_of(message.payload)}}
 
         parts = urlsplit(self._target.url)
         client = Client(CallbackAPIVersion.VERSION2, reconnect_on_failure=False)
@@ -122,7 +125,7 @@ class Mqtt:
             client.tls_set_context(ssl.create_default_context())
         if self._home is not None:
             client.will_set(self._home.status, OFFLINE, qos=1, retain=True)
-        self._found = frozenset()
+        self._found = {}
         client.connect(parts.hostname or "", parts.port or MQTT_PORTS[parts.scheme], keepalive=30)
         client.loop_start()
         if answered.wait(ANSWER_SECONDS) and not refused:

@@ -183,7 +183,7 @@ class HomeAssistantClient:
         self._values[message.topic] = message.payload
         for entity in self.entities.values():
             if isinstance(entity, _Event) and entity.state_topic == message.topic:
-                event = json.loads(message.payload)
+                event = json.loads(message.payload or b"{}")
                 if event.get("event_type") not in entity.event_types:
                     self.faults.append(f"{message.topic}: {event}")
                 self.fired.append(event)

@@ -201,8 +201,8 @@ def test_entities_of_what_is_gone_go_in_a_run_and_after_it(
     cameras = [Camera("gate", ("yard", "road")), Camera("lane", ("yard",))]
     with Deliveries([target_of(broker)], tmp_path, print, cameras=lambda: tuple(cameras)):
         wait_until(lambda: len(home.entities) == 5 + 3)
-        cameras[0] = Camera("gate", ("yard",))
-        wait_until(lambda: len(home.entities) == 3 + 3)
+        cameras[0] = Camera("gate", ("yard",), rules=("stays",))
+        wait_until(lambda: len(home.entities) == 4 + 3)
     del cameras[1]
     with Deliveries([target_of(broker)], tmp_path, print, cameras=lambda: tuple(cameras)) as deliveries:
         wait_until(lambda: set(home.states()) == {"gate: yard occupancy", "gate: yard objects"})
@@ -213,6 +213,7 @@ def test_entities_of_what_is_gone_go_in_a_run_and_after_it(
         deliveries.retarget([])
         wait_until(lambda: not home.entities)
     assert retained(broker) == []
+    assert home.fired == []
 
 
 PROGRAM = """
