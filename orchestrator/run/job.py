@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -14,13 +15,16 @@ from mlbs_actors.errors import ConfigError
 from mlbs_actors.source import FrameReader
 from orchestrator.command_line import command_again
 from orchestrator.credentials import mask
+from orchestrator.events.delivery import Deliveries
+from orchestrator.events.home_assistant import Camera
+from orchestrator.events.targets import EventTarget, all_targets
 from orchestrator.events.zones import read_zones
 from orchestrator.options import Arguments, Effect, recorded
 from orchestrator.run.driver import SpecChange
 from orchestrator.run.edited_files import keep_version
 from orchestrator.run.file_watch import FileWatch
 from orchestrator.run.list_watch import ListChange, ListWatch
-from orchestrator.run.listed_stream import ListedStream, OwnSettings
+from orchestrator.run.listed_stream import ListedStream, OwnSettings, StreamsFile
 from orchestrator.run.resumption import with_new_names
 from orchestrator.run.retention_limits import Keep
 from orchestrator.run.run_folder import RunFolder, describe_run
@@ -46,7 +50,8 @@ class Job:
 
     Parameters
     ----------
-    streams : sequence of ListedStream
+    listed : StreamsFile
+        What the list says, with the streams of the arguments.
     arguments : Arguments
     config : Config
     folder : RunFolder
@@ -54,6 +59,8 @@ class Job:
         Folder of the monitor's pictures.
     say : callable
         Receives messages for the user.
+    deliveries : Deliveries
+        Of events.
     begun : mapping, optional
         The content of ``run.json`` that an earlier start has left.
 
@@ -65,15 +72,18 @@ class Job:
 
     def __init__(
         self,
-        streams: Sequence[ListedStream],
+        listed: StreamsFile,
         arguments: Arguments,
         config: Config,
         folder: RunFolder,
         live: Path | None,
         say: Callable[[str], None],
+        deliveries: Deliveries,
         begun: Mapping[str, Any] | None = None,
     ) -> None:
+        streams = listed.streams
         self._streams = {stream.name: stream for stream in streams}
+        self._deliveries = deliveries
         self._arguments = arguments
         self._config = config
         self._folder = folder
@@ -85,9 +95,9 @@ class Job:
         self.description = self._described(begun)
         self._watch = None
         if arguments.watch and arguments.streams is not None:
-            listed = [stream for stream in streams if stream.line is not None]
+            own = replace(listed, streams=tuple(one for one in streams if one.line is not None))
             self._watch = ListWatch(
-                arguments.streams, listed, self._recorded_source, lambda text: say(mask(text))
+                arguments.streams, own, self._recorded_source, lambda text: say(mask(text))
             )
         zones = arguments.zones.path
         self._zones_are_faulty = arguments.zones.fault is not None
@@ -105,6 +115,10 @@ class Job:
     def settings(self, name: str) -> StreamSettings:
         """Return what a stream is asked for."""
         return self._settings[name]
+
+    def cameras(self) -> list[Camera]:
+        """Return what Home Assistant is told of the streams."""
+        return [Camera.of(name, asked.rules) for name, asked in list(self._settings.items())]
 
     def keeps(self) -> dict[str | None, Keep]:
         """Return how much is kept of each camera that has a limit of its own, and for None of all others."""
@@ -129,6 +143,8 @@ class Job:
         known = before[0].keys() - self._gone - {stream.name for stream in change.added}
         changed = self._changed(*before, [name for name in self._streams if name in known])
         self.keep_description(change.text)
+        if change.targets is not None:
+            self._retarget(change.targets)
         return replace(
             changed,
             added=tuple(map(self._spec, change.added)),
@@ -179,15 +195,26 @@ class Job:
             self._say(f"From now on for {name}: {', '.join(words)}{epoch}.")
         return effects
 
+    def _retarget(self, targets: Sequence[EventTarget]) -> None:
+        """Send events to the targets of the command and these."""
+        try:
+            self._deliveries.retarget(all_targets(self._arguments.events, targets))
+        except (ConfigError, sqlite3.Error) as error:
+            self._say(f"Events go where they went before: {error}")
+        else:
+            self._say(f"From now on events go to {', '.join(one.shown for one in targets) or 'nobody'}.")
+
     def _rename(self, stream: ListedStream) -> None:
         """Take up a stream that had another name; what was recorded of it is not written to any more."""
         try:
-            self.description = with_new_names(self._folder, self.description, [stream], self._say)
+            self.description = with_new_names(
+                self._folder, self.description, [stream], self._say, self._deliveries.rename
+            )
             for known in (self._streams, self._settings):
                 known.pop(stream.was or "", None)
             self._folder.redescribe(self.description)
-        except OSError as error:
-            self._say(f"{stream.was} cannot get the name {stream.name}: {error.strerror}.")
+        except (OSError, sqlite3.Error) as error:
+            self._say(f"{stream.was} cannot get the name {stream.name}: {error}.")
 
     def _has_other_zones(self) -> bool:
         """Read the file of zones again if it has changed; return whether it says something else."""

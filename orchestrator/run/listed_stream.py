@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.events.targets import EventTarget
 from orchestrator.events.zones import EventSettings
 from orchestrator.sources.address import SourceAddress
 
@@ -71,11 +72,14 @@ class StreamsFile:
         Number of each line that cannot be used → what is wrong with it, without credentials.
     text : str, optional
         Of a file of cameras.
+    targets : tuple of EventTarget, optional
+        Where it has events sent; None if that is not known.
     """
 
     streams: tuple[ListedStream, ...]
     faults: dict[int, str]
     text: str | None = field(default=None, repr=False)
+    targets: tuple[EventTarget, ...] | None = ()
 
 
 def check_name(name: str, *, given: bool) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import shlex
 import shutil
+import sqlite3
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -17,11 +19,12 @@ from mlbs_actors.actors.node.reservation import Share
 from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from mlbs_actors.config import Config
-from mlbs_actors.errors import SinkError
+from mlbs_actors.errors import ConfigError, SinkError
 from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.wording import count_of
 from orchestrator.credentials import mask
 from orchestrator.events.delivery import Deliveries
+from orchestrator.events.targets import all_targets
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.log import Log
 from orchestrator.monitor.address import MonitorAddress
@@ -114,10 +117,15 @@ def run(
     """
     folder, streams = RunFolder(arguments.output.resolve()), listed.streams
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
+        targets = None if listed.targets is None else all_targets(arguments.events, listed.targets)
+        deliveries = Deliveries(targets, folder.path, log.warn, cameras=lambda: job.cameras())
         begun = None
         if arguments.resume and folder.holds_run:
             hold.enter_context(folder.locked())
-            begun = with_new_names(folder, folder.description(), streams, log.say)
+            try:
+                begun = with_new_names(folder, folder.description(), streams, log.say, deliveries.rename)
+            except (OSError, sqlite3.Error) as error:
+                raise ConfigError(f"Cannot write to {folder.path}: {error}.") from None
         recorded = {} if begun is None else folder.recorded_sources(begun)
         faults = dict(missing)
         ended: dict[str, StreamState] = {}
@@ -137,10 +145,10 @@ def run(
             None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
         )
         before = None if begun is None else begun | {"sources": recorded if arguments.watch else {}}
-        job = Job(streams, arguments, config, folder, live, log.warn, before)
+        listed = replace(listed, streams=tuple(streams))
+        job = Job(listed, arguments, config, folder, live, log.warn, deliveries, before)
         memory = node_memory()
         retention = Retention(folder.path, job.keeps, log.warn)
-        deliveries = Deliveries(arguments.events, folder.path, log.warn)
         status = StatusFile(
             folder.path / "status.json",
             kept=lambda: retention.figures,
