@@ -167,7 +167,7 @@ def run(
             due = [spec for spec in due if spec.name not in bad]
         for stream in faulty:
             place = f"{arguments.streams}, line {stream.line}: " if stream.line else ""
-            log.say(place + faults[stream.name], "error")
+            log.say(place + faults[stream.name], "error", stream.name)
         onlookers: list[Observer] = []
         if at_work := bool(due) or arguments.watch:
             monitored = _monitored(arguments.monitor, live, folder.path, deliveries, log)
