@@ -22,7 +22,7 @@ __all__ = ["COUNTS_CSV", "COUNTS_JSON", "COUNTS_PARQUET", "CountFiles"]
 COUNTS_CSV, COUNTS_PARQUET, COUNTS_JSON = "counts.csv", "counts.parquet", "counts.json"
 
 #: The most that writing may take while no hour ends, and the least time between two writings, s.
-_SHARE_OF_TIME, _LEAST_SECONDS = 1 / 50, 2.0
+_SHARE_OF_TIME, _LEAST_SECONDS = 1 / 50, 5.0
 
 
 class CountFiles:

@@ -21,6 +21,8 @@ from orchestrator.events.zones import EventRules, Zone
 from orchestrator.rows.frame_row import FrameRow
 from orchestrator.rows.scene_place import Point
 from orchestrator.sinks.record import StreamRecord
+from orchestrator.storage.commit_log import forget_segment
+from orchestrator.storage.segments import segment_folders
 
 MIDDLE = Zone(name="middle", polygon=((10, 0), (20, 0), (20, 40), (10, 40)))
 FENCE = Zone(name="fence", kind="line", polygon=((15, 0), (15, 40)))
@@ -202,12 +204,22 @@ def test_a_camera_counts_by_the_hours_of_the_clock_and_only_what_is_committed(tm
     assert sum(int(row["frames"]) for row in rows) == 95
 
 
-def test_deleting_what_is_old_leaves_the_counts(tmp_path: Path, whole: Path) -> None:
-    one = record(tmp_path)
-    write(one, 0, FRAMES)
-    one._events.forget_before(150)
-    one.close(whole=True)
-    assert (tmp_path / "counts.csv").read_bytes() == (whole / "counts.csv").read_bytes()
+def test_deleting_what_is_old_leaves_the_counts(tmp_path: Path) -> None:
+    tables = []
+    for folder in (tmp_path / "all", tmp_path / "newest"):
+        one = StreamRecord(folder, "yard", SAVE, rules=RULES, live=True, segment_seconds=3600)
+        begin = 0
+        for end in (32, 64, 96, 128, 160, FRAMES):
+            write(one, begin, end, live=True)
+            assert one.keep(snapshot(one, end))
+            begin = end
+            if folder.name == "newest" and end == 160:
+                assert forget_segment(folder, segment_folders(folder)[0].name)
+        one.close(whole=True)
+        tables.append((folder / "counts.csv").read_bytes())
+    said = (tmp_path / "newest/events.jsonl").read_bytes()
+    assert len(said) < (tmp_path / "all/events.jsonl").stat().st_size
+    assert tables[0] == tables[1]
 
 
 def row(index: int, status: str = "ok", pts: float | None = None) -> FrameRow:
