@@ -143,15 +143,18 @@ class Situation:
     ----------
     places : mapping of str to PlaceKind
         Zones and lines that are followed.
+    objects : int
+        Present.
     inside : mapping of str to int
-        Objects in each zone that has any.
+        Those in each zone that has any.
     feet : sequence of (x, y)
-        Where the objects of the label map stand, px.
+        Where those that the label map shows stand, px.
     shape : (H, W)
         Of the label map.
     """
 
     places: Mapping[str, PlaceKind]
+    objects: int
     inside: Mapping[str, int]
     feet: Sequence[Point]
     shape: tuple[int, int]
@@ -203,7 +206,7 @@ class Tally:
         state.pts = None if row.status == "gap" else row.pts
         if situation is None:
             return
-        state.present = {PICTURE: len(situation.feet)}
+        state.present = {PICTURE: situation.objects}
         for name, kind in {PICTURE: "picture", **situation.places}.items():
             place = hour.places.setdefault(name, PlaceCounts(kind))
             if kind == "zone":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from orchestrator.counts.tally import Situation
-from orchestrator.events.happenings import Happenings
+from orchestrator.events.happenings import HOLD, Happenings
 from orchestrator.rows.frame_row import FrameRow
 
 __all__ = ["situation_after"]
@@ -14,19 +14,20 @@ __all__ = ["situation_after"]
 def situation_after(row: FrameRow, happenings: Happenings) -> Situation | None:
     """Return the situation after the newest row; None if that has no label map.
 
-    Who has not reached the minimum is nowhere. Who is hidden is still in the zones that it was in, but stands
-    nowhere.
+    Who has not reached the minimum is nowhere, and so is who is hidden: of those that have left the picture it
+    is only known much later that they do not come back.
     """
     if row.result is None:
         return None
     inside: Counter[str] = Counter()
-    feet = []
+    objects, feet = 0, []
     for one in happenings.state.objects.values():
-        if not one.counts:
+        if not one.counts or one.missing >= HOLD:
             continue
+        objects += 1
         inside.update(zone for zone, presence in one.zones.items() if presence.inside)
         if one.missing == 0:
             region = one.seen.region
             feet.append((region.x + region.width / 2, region.y + region.height - 0.5))
     places = {zone.name: zone.kind for zone in happenings.rules.zones}
-    return Situation(places, inside, feet, row.result.shape)
+    return Situation(places, objects, inside, feet, row.result.shape)

@@ -109,20 +109,26 @@ def test_the_hours_together_have_every_event_of_the_file_once(whole: Path) -> No
 def test_who_was_in_a_zone_for_how_long_follows_from_the_events(whole: Path) -> None:
     """An obvious count of the same: row by row from the lines of the file."""
     said = [json.loads(line) for line in (whole / "events.jsonl").read_text().splitlines()]
-    certain: dict[int, list[str]] = {}
     ends = {(one["frame"], one["object"]): one["reason"] for one in said if one["kind"] == "ended"}
+    certain: dict[int, list[tuple[str, int]]] = {}
     for one in said:
         end = ends.get((one["frame"], one["object"]))
-        if one["zone"] == "middle" and end != "end of the stream":
-            # The first of three label maps that agree is named, or the first of five without the object.
+        if (one["zone"] == "middle" or one["kind"] == "hidden") and end != "end of the stream":
+            # The first of three label maps that agree is named; of an end, the first of five without it.
             steps = [index for index in range(one["frame"], FRAMES) if index not in DROPPED and index != AWAY]
-            certain.setdefault(steps[2 if end is None else 4], []).append(one["kind"])
-    inside, occupied, integral = 0, 0.0, 0.0
+            step = steps[2 if end is None or one["kind"] == "hidden" else 4]
+            certain.setdefault(step, []).append((one["kind"], one["object"]))
+    inside: set[int] = set()
+    occupied, integral = 0.0, 0.0
     for index in range(1, FRAMES):
         if index != AWAY + 1:  # the camera was away
-            occupied += (inside > 0) * STEP_SECONDS
-            integral += inside * STEP_SECONDS
-        inside += sum(1 if kind == "entered" else -1 for kind in certain.get(index, ()))
+            occupied += bool(inside) * STEP_SECONDS
+            integral += len(inside) * STEP_SECONDS
+        for kind, number in certain.get(index, ()):
+            if kind == "entered":
+                inside.add(number)
+            else:
+                inside.discard(number)
     rows = [row for row in rows_of(whole) if row["place"] == "middle"]
     assert sum(float(row["occupied_s"]) for row in rows) == pytest.approx(occupied, abs=0.01)
     means = sum(float(row["mean_objects"]) * float(row["seconds"]) for row in rows)
@@ -227,7 +233,7 @@ def row(index: int, status: str = "ok", pts: float | None = None) -> FrameRow:
 
 
 def situation(*feet: Point) -> Situation:
-    return Situation({}, {}, feet, (HEIGHT, WIDTH))
+    return Situation({}, len(feet), {}, feet, (HEIGHT, WIDTH))
 
 
 def test_a_clock_that_jitters_begins_no_hour_and_one_that_is_set_begins_another() -> None:
