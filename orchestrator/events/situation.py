@@ -14,8 +14,8 @@ __all__ = ["situation_after"]
 def situation_after(row: FrameRow, happenings: Happenings) -> Situation | None:
     """Return the situation after the newest row; None if that has no label map.
 
-    Who has not reached the minimum is nowhere, and so is who is hidden: of those that have left the picture it
-    is only known much later that they do not come back.
+    Who has not reached the minimum is nowhere, and so is who is hidden: whether they have left the picture
+    for good is only known much later.
     """
     if row.result is None:
         return None
