@@ -155,8 +155,15 @@ function drawBars(rows) {
     }
   }
   const caption = document.createElement("figcaption");
+  caption.append(`${place || "whole picture"}: `);
+  BARS[kind].forEach(([name, column, style], number) => {
+    const words = document.createElement("span");
+    words.className = style;
+    write(words, `${name} ${shown.reduce((all, row) => all + Number(row[column]), 0)}`);
+    caption.append(number ? ", " : "", words);
+  });
   const dropped = Number(rows[rows.length - 1].dropped_share);
-  write(caption, `${place || "whole picture"}: ${words}${dropped > 0.01 ? `; ${Math.round(100 * dropped)} % of frames dropped` : ""}`);
+  if (dropped > 0.01) caption.append(`; ${Math.round(100 * dropped)} % of frames dropped`);
   figure.append(drawing, caption);
   return figure;
 }
@@ -189,6 +196,7 @@ async function showCounts(box, stream, image) {
   const places = new Map();
   for (const row of counts.hours) places.set(row.place, [...(places.get(row.place) || []), row]);
   box.querySelector(".places").replaceChildren(...[...places.values()].map(drawBars));
+  if (image.src) await image.decode().catch(() => {}); // without it the map is drawn alone
   drawHeat(box.querySelector("canvas"), counts.heat, image);
 }
 
