@@ -35,9 +35,6 @@ HEAT_COLUMNS, HEAT_ROWS = 64, 36
 #: Name of the whole picture among the places; a zone's has at least one letter.
 PICTURE = ""
 
-#: Frames over which the share of dropped ones before something is averaged.
-_RECENT_FRAMES = 32
-
 PlaceKind = Literal["picture", "zone", "line"]
 
 
@@ -113,8 +110,6 @@ class CountState:
         Length of what is certain in ``counts.csv``.
     pts : float, optional
         Time of the last row, s; None if the time to the next one is not observed.
-    dropped_share : float
-        Share of the last frames that have no label map: a mean with weights that decay over 32 frames.
     present : dict of str to int
         Objects at once after the last row, by place.
     crossings : dict of str to dict of str to int
@@ -128,7 +123,6 @@ class CountState:
     hour: HourCounts | None = None
     closed_bytes: int = 0
     pts: float | None = None
-    dropped_share: float = 0.0
     present: dict[str, int] = field(default_factory=dict)
     crossings: dict[str, dict[str, int]] = field(default_factory=dict)
     events: dict[str, int] = field(default_factory=dict)
@@ -200,7 +194,6 @@ class Tally:
         if row.status != "gap":
             hour.frames += 1
             hour.label_maps += situation is not None
-            state.dropped_share += ((situation is None) - state.dropped_share) / _RECENT_FRAMES
         if state.pts is not None:
             self._observe(hour, row.pts - state.pts)
         state.pts = None if row.status == "gap" else row.pts
@@ -216,7 +209,9 @@ class Tally:
             cell = heat_cell(foot, situation.shape)
             state.heat[cell] = state.heat.get(cell, 0) + 1
 
-    def count(self, kind: str, zone: str | None, direction: Literal["left", "right"] | None) -> None:
+    def count(
+        self, kind: str, zone: str | None, direction: Literal["left", "right"] | None, dropped_share: float
+    ) -> None:
         """Count an event that became certain with the last row, in its hour.
 
         Parameters
@@ -227,6 +222,8 @@ class Tally:
             The zone or line.
         direction : {"left", "right"}, optional
             Of a crossing.
+        dropped_share : float
+            Of the frames before it.
         """
         state = self.state
         state.events[kind] = state.events.get(kind, 0) + 1
@@ -247,7 +244,7 @@ class Tally:
             place.crossed_right += direction == "right"
         else:
             return
-        place.dropped_shares += state.dropped_share
+        place.dropped_shares += dropped_share
 
     def _hour_of(self, pts: float, clock: float | None) -> HourCounts:
         """Return the counts of the hour of a time, which may begin with it.

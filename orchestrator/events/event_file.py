@@ -256,8 +256,9 @@ class _EventLines:
 
     def _lines(self, events: list[Event], row: FrameRow | None) -> list[str]:
         if self._tally is not None:
+            share = self._happenings.state.dropped_share
             for event in events:
-                self._tally.count(event.kind, event.zone, event.direction)
+                self._tally.count(event.kind, event.zone, event.direction, share)
         here = set()
         if row is not None and row.result is not None and self._happenings.rules.zones:
             here = {layer.layer for layer in row.result.layers}
@@ -285,6 +286,7 @@ class _EventLines:
             "box": None if event.region is None else list(event.region.box),
             "zone": event.zone,
             "direction": event.direction,
+            "dropped_share": round(self.state.dropped_share, 3) if event.kind == "crossed" else None,
             "rule": event.rule,
             "objects": None if event.objects is None else list(event.objects),
             "score": _rounded(event.score),

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from record_fakes import HEIGHT, WIDTH, frame, segmentation
@@ -142,7 +143,12 @@ def test_an_hour_says_what_was_dropped_and_what_was_not_observed(whole: Path) ->
     assert float(picture[0]["dropped_share"]) == pytest.approx(4 / int(picture[0]["frames"]), abs=1e-4)
     assert sum(float(row["seconds"]) for row in picture) == pytest.approx((FRAMES - 2) * STEP_SECONDS)
     fence = [row for row in rows_of(whole) if row["place"] == "fence"]
-    assert 0 < float(fence[0]["dropped_share_around"]) < 0.15
+    said = [json.loads(line) for line in (whole / "events.jsonl").read_text().splitlines()]
+    crossed = [one["dropped_share"] for one in said if one["kind"] == "crossed"]
+    around = [float(row["dropped_share_around"] or 0) for row in fence]
+    crossings = [int(row["crossed_left"]) + int(row["crossed_right"]) for row in fence]
+    assert sum(np.multiply(around, crossings)) == pytest.approx(sum(crossed), abs=0.02)
+    assert 0 < around[0] < 0.15
 
 
 def test_the_parquet_file_has_the_same_rows(whole: Path) -> None:
