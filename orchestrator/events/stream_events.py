@@ -124,7 +124,7 @@ class StreamEvents:
     def drafts(self, rows: int, *, provisional: bool) -> list[Path]:
         """Return the files to publish before so many rows are committed, provisionally or for good."""
         views = [path for frame, path in self._new_views if frame < rows]
-        return views if provisional else [*views, self._file.draft(rows)]
+        return views if provisional else [*views, *self._file.drafts(rows)]
 
     def committed(self, rows: int) -> None:
         """Note that so many rows count now."""
@@ -139,6 +139,10 @@ class StreamEvents:
     def finish(self, rows: int) -> None:
         """Write what is certain as the stream has come to its end after so many rows."""
         self._file.finish(rows)
+
+    def show_counts(self) -> None:
+        """Write the counts as they were with the last commit."""
+        self._file.show_counts()
 
     def discard(self) -> None:
         """Delete what was written of rows that are not committed."""

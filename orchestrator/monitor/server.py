@@ -31,6 +31,7 @@ __all__ = ["serving"]
 _LEAST_TOKEN = 16  # characters
 _COOKIE = "mlbs-monitor"
 _MOTION_JPEG = ".mjpg"
+_COUNTS = "/counts.json"
 _EVENT_PICTURE = re.compile(r"\d{8,}-\d+\.jpg", re.ASCII)
 _FOLDER = Path(__file__).parent
 _FILES = {
@@ -137,10 +138,17 @@ class _Handler(BaseHTTPRequestHandler):
         elif url.path == "/status.json":
             self._answer(HTTPStatus.OK, json.dumps(self.server.board.status()).encode(), "application/json")
         elif url.path == "/metrics":
-            text = self.server.metrics_text(self.server.board.states, self.server.board.backlogs())
+            board = self.server.board
+            text = self.server.metrics_text(board.states, board.backlogs(), board.counts())
             self._answer(HTTPStatus.OK, text.encode(), CONTENT_TYPE)
         elif url.path.endswith(_MOTION_JPEG) and (stream := self._stream(url.path)) is not None:
             self._send_on(stream)
+        elif (
+            url.path.endswith(_COUNTS)
+            and (stream := self._stream(url.path.removesuffix(_COUNTS))) is not None
+        ):
+            counts = self.server.board.counts_of(stream)
+            self._answer(HTTPStatus.OK, json.dumps(counts).encode(), "application/json")
         elif (picture := self._picture(url.path)) is not None:
             self._answer(HTTPStatus.OK, picture, "image/jpeg")
         else:

@@ -62,6 +62,7 @@ class _Parser:
     file: YamlFile
     before: StreamsFile | None
     faults: dict[int, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)  # by what a disk may take for the same one
 
     def parsed(self) -> StreamsFile:
         content = self.file.content
@@ -109,6 +110,8 @@ class _Parser:
         place, before = ["streams", name], earlier.get(name)
         try:
             check_name(name, given=True)
+            if (same := self.names.setdefault(name.lower(), name)) != name:
+                raise ConfigError(f"some disks take {name!r} for {same!r}; choose another name")
         except ConfigError as error:
             self._fault(place, str(error))
             return None

@@ -22,6 +22,7 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError
 from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.wording import count_of
+from orchestrator.counts.stream_counts import CountReader
 from orchestrator.credentials import mask
 from orchestrator.events.delivery import Deliveries
 from orchestrator.events.targets import all_targets
@@ -175,7 +176,7 @@ def run(
             due = [spec for spec in due if spec.name not in bad]
         for stream in faulty:
             place = f"{arguments.streams}, line {stream.line}: " if stream.line else ""
-            log.say(place + faults[stream.name], "error")
+            log.say(place + faults[stream.name], "error", stream.name)
         onlookers: list[Observer] = []
         if at_work := bool(due) or arguments.watch:
             monitored = _monitored(arguments.monitor, live, folder.path, deliveries, log)
@@ -183,7 +184,7 @@ def run(
             _announce(due, arguments, memory, contents, log)
             session.enter_context(joined_ray(arguments.address, head))
         if at_work and arguments.ray_metrics is not None:
-            onlookers.append(RayMetrics(deliveries.backlogs))
+            onlookers.append(RayMetrics(deliveries.backlogs, counts=CountReader(folder.path).of))
             if arguments.address is None:
                 log.say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
         onlookers.append(retention)

@@ -252,14 +252,15 @@ class StreamRecord:
         try:
             if not self._live or self._provisional or whole:
                 self._commit()
-            if whole or self._objects is not None or self._segments is not None:
-                with self._log.exclusive():
-                    if self._segments is not None:
-                        self._segments.merge_all(self._log)
-                    if whole:
-                        self._events.finish(self._log.rows)
-                    if self._objects is not None:
-                        self._objects.write(complete=whole)
+            with self._log.exclusive():
+                if self._segments is not None:
+                    self._segments.merge_all(self._log)
+                if whole:
+                    self._events.finish(self._log.rows)
+                else:
+                    self._events.show_counts()
+                if self._objects is not None:
+                    self._objects.write(complete=whole)
             self._pictures.discard()
             self._events.discard()
         except OSError as error:

@@ -21,6 +21,7 @@ from record_fakes import frame, segmentation
 from mlbs_actors.actors.stream.protocol import StreamProgress
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.source import SourceSilence
+from orchestrator.counts.stream_counts import StreamCounts
 from orchestrator.events.delivery import Backlog
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
@@ -35,6 +36,9 @@ from orchestrator.sinks.record import StreamRecord
 ROOT = Path(__file__).resolve().parents[3]
 TOKEN = "a-token-of-the-tests"
 HERE = MonitorAddress("127.0.0.1", 0)
+COUNTS = StreamCounts(
+    objects=2, zones={'the "yard"': 1}, crossings={"fence": {"left": 3, "right": 0}}, events={"entered": 4}
+)
 STATES = [
     StreamState("yard", "running", read=20, committed=8, layers=3, frames_per_second=4.25, latency_ms=312.4),
     StreamState("<b>", "failed", error="The file <is> gone."),
@@ -144,12 +148,16 @@ def test_grafanas_board_asks_for_all_that_the_page_serves_and_nothing_else() -> 
     text = (ROOT / "configs/grafana.json").read_text(encoding="utf-8")
     panels = json.loads(text)["panels"]
     queries = [target["expr"] for panel in panels for target in panel["targets"]]
-    page = MetricsText()(STATES, [Backlog("mqtt://broker/***", 3, None)])
+    page = MetricsText()(STATES, [Backlog("mqtt://broker/***", 3, None)], {"yard": COUNTS})
     served = set(re.findall(r"^# TYPE (\S+)", page, re.MULTILINE))
     assert {name for query in queries for name in re.findall(r"mlbs_\w+", query)} == served
     assert set(re.findall(r"mlbs_\w+", text)) == served  # those that the choice of streams asks for too
     labels = set(re.findall(r"(\w+)=\"", page))
-    assert set(re.findall(r"\{\{(\w+)\}\}", text)) == labels == {"stream", "state", "target"}
+    assert (
+        set(re.findall(r"\{\{(\w+)\}\}", text))
+        == labels
+        == {*("stream", "state", "target", "zone", "line", "direction", "kind")}
+    )
     assert len({panel["id"] for panel in panels}) == len(panels)
 
 
@@ -196,6 +204,40 @@ def test_the_status_has_the_last_events_and_the_page_their_pictures(
     assert (answer.status, answer.getheader("Content-Type"), body[:2]) == (200, "image/jpeg", b"\xff\xd8")
     for path in ("yard/events/../events.jsonl", "yard/events/nothing.jpg", "nobody/" + pictures[-1], "yard"):
         assert get(url, f"/streams/{path}")[0].status == 404
+
+
+@pytest.fixture
+def counted(board: Board, tmp_path: Path) -> Path:
+    """A record in which an object walks through a zone and over a line."""
+    there = Zone(name="here", polygon=((0, 0), (1, 0), (1, 1), (0, 1)))
+    fence = Zone(name="fence", kind="line", polygon=((0.3, 0), (0.3, 1)))
+    folder = tmp_path / "out/yard"
+    record = StreamRecord(folder, "yard", frozenset(), rules=EventRules((there, fence)))
+    for index in range(30):
+        record.write(segmentation(index, 3), frame(index))
+    record.close(whole=False)
+    return folder
+
+
+def test_prometheus_gets_what_is_counted_of_zones_lines_and_events(counted: Path, url: str) -> None:
+    samples = dict(line.rsplit(" ", 1) for line in get(url, "/metrics")[1].decode().splitlines())
+    assert samples['mlbs_zone_objects{stream="yard",zone="here"}'] == "1"
+    assert samples['mlbs_line_crossings_total{stream="yard",line="fence",direction="left"}'] == "1"
+    assert samples['mlbs_events_total{stream="yard",kind="entered"}'] == "1"
+
+
+def test_the_page_gets_the_rows_of_the_last_hours_and_the_heat_map(counted: Path, url: str) -> None:
+    yard, *others = json.loads(get(url, "/status.json")[1])["streams"]
+    assert yard["counts"] is not None
+    assert [one["counts"] for one in others] == [None, None]
+    counts = json.loads(get(url, "/streams/yard/counts.json")[1])
+    assert [(row["place"], row["kind"]) for row in counts["hours"]] == [
+        ("", "picture"),
+        ("fence", "line"),
+        ("here", "zone"),
+    ]
+    assert sum(counts["heat"]["label_maps"]) == 30
+    assert get(url, "/streams/nobody/counts.json")[0].status == 404
 
 
 def test_other_viewers_get_the_pictures_as_motion_jpeg_until_the_stream_ends(
@@ -360,6 +402,27 @@ def test_a_record_shows_its_frames_and_no_trouble_with_that_reaches_it(tmp_path:
 
 
 @pytest.mark.long
+def test_a_browser_draws_the_counts_when_they_are_opened(
+    counted: Path, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = 'copy.querySelector(".counts").open = true;'
+    script = (
+        (ROOT / "orchestrator/monitor/monitor.js")
+        .read_text()
+        .replace("list.append(copy);", opened + "list.append(copy);")
+    )
+    (counted.parent / "monitor.js").write_text(script)
+    for name in ("page.html", "monitor.css"):
+        (counted.parent / name).write_bytes((ROOT / "orchestrator/monitor" / name).read_bytes())
+    monkeypatch.setattr("orchestrator.monitor.server._FOLDER", counted.parent)
+    page = open_page(url, seconds=3)
+    assert page.console == []
+    assert 'aria-label="fence: to the left 1, to the right 0; at most 1 an hour"' in page.document
+    assert "<title>hour 0: 1 entered</title>" in page.document
+    assert re.search(r'aria-label="Cells in which objects stood: \d+ of 2304"', page.document)
+
+
+@pytest.mark.long
 def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
     page = open_page(url, seconds=3)
     assert page.console == []
@@ -397,5 +460,5 @@ def test_a_browser_shows_fifty_streams_with_their_events(
     assert page.console == []
     assert len(re.findall("<article", page.document)) == 51  # with that of the template
     assert page.document.count("1.3 s: 4 entered yard") == 100
-    loaded = len(re.findall(r' src="/pictures/\d+\.jpg', page.document))
+    loaded = len(re.findall(r' src="pictures/\d+\.jpg', page.document))
     assert 0 < loaded < 50  # those in sight
