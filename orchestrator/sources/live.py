@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from datetime import datetime
 from functools import partial
@@ -18,6 +18,11 @@ from typing import Protocol
 import av
 import av.error
 import av.logging
+from av.audio.stream import AudioStream
+from av.packet import Packet
+from av.stream import Stream
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.source import SourceFrame, SourceSilence
@@ -32,7 +37,7 @@ from orchestrator.sources.live_buffer import (
     retry_seconds,
 )
 
-__all__ = ["Connection", "LibavConnection", "LiveReader"]
+__all__ = ["Connection", "LibavConnection", "LiveReader", "PacketKeeper", "PacketStore"]
 
 #: Longest time until :meth:`LiveReader.read` answers, s.
 _ANSWER_SECONDS = 0.5
@@ -57,6 +62,23 @@ class Connection(Protocol):
         """Close the connection."""
 
 
+class PacketKeeper(Protocol):
+    """Keeps the packets of one connection."""
+
+    def keep(self, packet: Packet[Stream]) -> None:
+        """Take the next one, which nobody else needs any more; a fault there is its own affair."""
+
+    def close(self) -> None:
+        """Take note that there are no more."""
+
+
+class PacketStore(Protocol):
+    """Where the packets of a camera are kept."""
+
+    def recorder(self, streams: Sequence[VideoStream | AudioStream]) -> PacketKeeper:
+        """Begin a new connection with these streams, of which the first one is the video."""
+
+
 class LibavConnection:
     """A connection made by libav.
 
@@ -66,6 +88,8 @@ class LibavConnection:
         Of kind NETWORK or CAMERA.
     clock : callable
         Monotonic time, s.
+    packets : PacketStore, optional
+        Keeps what the camera sends, its sound included.
 
     Raises
     ------
@@ -73,28 +97,44 @@ class LibavConnection:
         If the camera cannot be reached or sends no video; the message hides credentials.
     """
 
-    def __init__(self, address: SourceAddress, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        address: SourceAddress,
+        clock: Callable[[], float] = time.monotonic,
+        packets: PacketStore | None = None,
+    ) -> None:
         self._container, self._stream, _ = open_video(address, _DEAD_SECONDS)
         self._clock = clock
+        self._streams: list[VideoStream | AudioStream] = [self._stream]
+        self._keeper: PacketKeeper | None = None
+        if packets is not None:
+            self._streams += self._container.streams.audio[:1]
+            self._keeper = packets.recorder(self._streams)
 
     def pictures(self) -> Iterator[Picture]:
         """Yield the camera's pictures; those damaged in transmission are skipped, as players do."""
         with av.logging.Capture():
             try:
                 asked = self._clock()
-                for packet in self._container.demux(self._stream):
+                for packet in self._container.demux(*self._streams):
                     # After its timeout libav returns a partial picture and continues.
                     if self._clock() - asked >= _DEAD_SECONDS:
                         raise SourceError("no answer in time")
-                    with suppress(av.error.InvalidDataError):
-                        for frame in packet.decode():
-                            yield Picture(frame.time, partial(upright_bgr, frame), frame.is_corrupt)
+                    if packet.stream is self._stream:
+                        with suppress(av.error.InvalidDataError):
+                            frames = (frame for frame in packet.decode() if isinstance(frame, VideoFrame))
+                            for frame in frames:
+                                yield Picture(frame.time, partial(upright_bgr, frame), frame.is_corrupt)
+                    if self._keeper is not None:
+                        self._keeper.keep(packet)
                     asked = self._clock()
             except (av.error.FFmpegError, OSError) as error:
                 raise SourceError(reason(error)) from None
 
     def close(self) -> None:
         """Close the connection."""
+        if self._keeper is not None:
+            self._keeper.close()
         self._container.close()
 
 
@@ -150,9 +190,11 @@ class LiveReader:
         self._start_thread()
 
     @classmethod
-    def of(cls, address: SourceAddress, give_up_after: float | None = None) -> LiveReader:
-        """Read the camera at an address."""
-        return cls(str(address), partial(LibavConnection, address), give_up_after)
+    def of(
+        cls, address: SourceAddress, give_up_after: float | None = None, packets: PacketStore | None = None
+    ) -> LiveReader:
+        """Read the camera at an address, and keep its packets if so asked."""
+        return cls(str(address), partial(LibavConnection, address, packets=packets), give_up_after)
 
     def read(self) -> SourceFrame | SourceSilence | None:
         """Return the next frame, drop or gap, or that there is none at present; None at the end."""
