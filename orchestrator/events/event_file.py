@@ -22,6 +22,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from orchestrator.events.clip_names import clip_name
 from orchestrator.events.event import Event, EventKind
 from orchestrator.events.happenings import EventState, Happenings
 from orchestrator.events.pictures import picture_name
@@ -244,8 +245,9 @@ class _EventLines:
         picture = None
         if row is not None and event.kind in _PICTURED and event.layer in self.pictured:
             picture = picture_name(row.frame, event.layer)
+        identity = event_id(self._stream, event)
         return {
-            "id": event_id(self._stream, event),
+            "id": identity,
             "stream": self._stream,
             "kind": event.kind,
             "frame": event.frame,
@@ -258,6 +260,7 @@ class _EventLines:
             "reason": event.reason,
             "replaced_by": event.replaced_by,
             "picture": picture,
+            "clip": clip_name(event.frame, identity) if event.kind in self._happenings.rules.clips else None,
             "number": number,
         }
 

@@ -88,16 +88,19 @@ class EventRules:
     minimum : Minimum
     remembered : int
         Label maps without a pixel of an object after which it has ended.
+    clips : frozenset of str
+        Kinds of events that get a clip.
     """
 
     zones: tuple[Zone, ...] = ()
     minimum: Minimum = field(default_factory=Minimum)
     remembered: int = 30
+    clips: frozenset[str] = frozenset()
 
     @property
     def digest(self) -> str:
-        """Sixteen hexadecimal digits that tell them from others."""
-        return hashlib.sha256(_RULES.dump_json(self)).hexdigest()[:16]
+        """Sixteen hexadecimal digits that tell them from others which say something else to be an event."""
+        return hashlib.sha256(_RULES.dump_json(self, exclude={"clips"})).hexdigest()[:16]
 
     @property
     def of_scene(self) -> bool:

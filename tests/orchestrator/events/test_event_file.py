@@ -75,6 +75,7 @@ def test_a_line_holds_what_happened(whole: bytes) -> None:
         "reason": None,
         "replaced_by": None,
         "picture": "events/00000008-3.jpg",
+        "clip": None,
         "number": 3,
     }
     assert [one["number"] for one in said] == [*range(1, len(said) + 1)]
@@ -253,3 +254,20 @@ def test_events_of_a_camera_have_the_time_of_day_at_which_it_took_their_frames(t
     clocks = {event["kind"]: event["clock"] for event in lines(tmp_path)}
     assert clocks["born"] == "2001-09-09T01:46:40.000+00:00"
     assert clocks["entered"] == "2001-09-09T01:46:40.600+00:00"  # frame 6
+
+
+def test_of_the_chosen_kinds_each_event_names_a_clip_of_its_own_and_always_the_same(tmp_path: Path) -> None:
+    rules = replace(RULES, clips=frozenset({"entered", "left"}))
+    for folder in (tmp_path / "once", tmp_path / "again"):
+        one = record(folder, rules=rules)
+        write(one, 0, 60)
+        one.close(whole=True)
+    said = lines(tmp_path / "once")
+    clips = [event["clip"] for event in said if event["clip"] is not None]
+    assert {event["kind"] for event in said if event["clip"] is not None} == {"entered", "left"}
+    assert len(set(clips)) == len(clips) > 3
+    assert [event["clip"] for event in lines(tmp_path / "again")] == [event["clip"] for event in said]
+
+
+def test_whether_events_have_clips_makes_no_other_rules(tmp_path: Path) -> None:
+    assert replace(RULES, clips=frozenset({"entered"})).digest == RULES.digest
