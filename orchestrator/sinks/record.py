@@ -33,6 +33,7 @@ from orchestrator.sinks.label_image import encode_label_image, encode_picture
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
+from orchestrator.sinks.still import Still
 from orchestrator.sources.address import SourceAddress
 from orchestrator.storage.commit_log import CommitLog, first_frame, permanent, read_commits
 from orchestrator.storage.durable_files import publish, remove_temporary, temporary_path
@@ -110,6 +111,7 @@ class StreamRecord:
         self._name = name
         self._save = save
         self._live_picture = live_picture
+        self._still = Still(folder) if live else None
         self._live = live
         self._rows: list[FrameRow] = []
         self._provisional = False
@@ -173,6 +175,8 @@ class StreamRecord:
             self._overlay.add(
                 frame.image, segmentation.labels, frame.index, frame.pts, regions, frame.pixel_aspect, scene
             )
+        if self._still is not None and frame.image is not None:
+            self._still.show(frame.image)
         if self._live_picture is not None and frame.image is not None:
             self._live_picture.show(frame.image, segmentation.labels, frame.index, scene)
         return self._committed
