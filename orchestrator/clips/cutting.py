@@ -93,7 +93,7 @@ def cut(request: CutRequest) -> bool:
         packets, copied = _from_video(Path(request.video), request.begin), True
     else:
         files = _files_between(Path(request.ring or ""), request.begin, request.end)
-        packets, copied = _from_ring(files), len(set(map(_form, files))) == 1
+        packets, copied = _from_ring(files), len(set(map(_form, files)) - {None}) == 1
     first, *others = (Path(path) for path in request.paths)
     first.parent.mkdir(parents=True, exist_ok=True)
     draft = temporary_path(first)
@@ -128,7 +128,7 @@ def _files_between(folder: Path, begin: float, end: float) -> list[RingFile]:
 
 
 def _form(file: RingFile) -> object:
-    """Return what must be the same in all packets of one copied stream."""
+    """Return what must be the same in all packets of one copied stream; None if there are none."""
     with suppress(*_UNREADABLE), av.open(str(file.path)) as container:
         coded = container.streams.video[0].codec_context
         return coded.name, coded.width, coded.height, coded.extradata

@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from fractions import Fraction
+from io import BytesIO
 from pathlib import Path
 
 import av
@@ -23,7 +25,7 @@ from av.packet import Packet
 from av.stream import Stream
 from av.video.stream import VideoStream
 
-__all__ = ["PACKETS", "PacketRecorder", "PacketRing", "RingFile", "ring_files"]
+__all__ = ["PACKETS", "JpegRecorder", "PacketRecorder", "PacketRing", "RingFile", "ring_files"]
 
 #: Folder of the ring, in the stream's.
 PACKETS = ".packets"
@@ -42,6 +44,8 @@ _PAUSE_SECONDS = 10.0
 
 #: A cluster of so many ms is written at once.
 _OPTIONS = {"cluster_time_limit": "1000", "flush_packets": "1"}
+
+_MILLISECOND = Fraction(1, 1000)
 
 #: Not compressed: a file of them would be huge.
 _UNCOMPRESSED = ("rawvideo", "v210", "yuv4")
@@ -89,6 +93,10 @@ class PacketRing:
     def recorder(self, streams: Sequence[VideoStream | AudioStream]) -> PacketRecorder:
         """Record a new connection with these streams, of which the first one is the video."""
         return PacketRecorder(self, streams)
+
+    def jpeg_recorder(self) -> JpegRecorder:
+        """Record a new connection that sends JPEGs."""
+        return JpegRecorder(self)
 
     def delete_oldest(self) -> None:
         """Delete the files that are not needed any more."""
@@ -166,6 +174,46 @@ class PacketRecorder:
         folder.mkdir(parents=True, exist_ok=True)
         self._ring.delete_oldest()
         return _OpenFile(_ring_path(folder, taken), self._streams, first)
+
+
+class JpegRecorder:
+    """Records the JPEGs of one connection that libav has no part in.
+
+    Parameters
+    ----------
+    ring : PacketRing
+    clock : callable
+        Seconds since 1970, at which a JPEG comes; it has no other time.
+    """
+
+    def __init__(self, ring: PacketRing, clock: Callable[[], float] = time.time) -> None:
+        self._ring = ring
+        self._clock = clock
+        self._recorder: PacketRecorder | None = None
+        self._stream: VideoStream | None = None
+
+    def keep(self, jpeg: bytes) -> None:
+        """Record the next one."""
+        if self._recorder is None or self._stream is None:
+            try:
+                with av.logging.Capture():
+                    # The first one tells what kind of packets they are.
+                    [stream] = av.open(BytesIO(jpeg), format="mjpeg").streams.video
+            except (av.error.FFmpegError, ValueError):
+                return
+            if not stream.width:
+                return  # it is damaged
+            self._stream = stream
+            self._recorder = PacketRecorder(self._ring, [stream], self._clock)
+        packet: Packet[Stream] = Packet(jpeg)
+        packet.stream, packet.time_base, packet.is_keyframe = self._stream, _MILLISECOND, True
+        packet.pts = packet.dts = round(self._clock() / _MILLISECOND)
+        self._recorder.keep(packet)
+
+    def close(self) -> None:
+        """End the newest file."""
+        if self._recorder is not None:
+            self._recorder.close()
 
 
 class _CameraClock:

@@ -9,10 +9,12 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from coded_video import KEY_SECONDS, RATE, packets_of, record, write_video
 
-from orchestrator.clips.packet_ring import PacketRecorder, PacketRing, ring_files
+from orchestrator.clips.packet_ring import JpegRecorder, PacketRecorder, PacketRing, ring_files
 
 BEGAN = 1_700_000_000.0
 ENOUGH = 1e10  # seconds: nothing is deleted
@@ -120,3 +122,21 @@ def test_pictures_that_are_not_compressed_are_not_kept(tmp_path: Path) -> None:
     video = write_video(tmp_path / "video.mkv", 4, "rawvideo")
     record(video, PacketRing(tmp_path / "ring", ENOUGH), BEGAN)
     assert ring_files(tmp_path / "ring") == []
+
+
+def test_jpegs_that_libav_has_no_part_in_are_kept_with_the_times_at_which_they_came(tmp_path: Path) -> None:
+    now = [BEGAN]
+    recorder = JpegRecorder(PacketRing(tmp_path / "ring", ENOUGH), lambda: now[0])
+    recorder.keep(b"a damaged one")
+    jpegs = [
+        cv2.imencode(".jpg", np.full((48, 64, 3), 5 * number, np.uint8))[1].tobytes() for number in range(30)
+    ]
+    for jpeg in jpegs:
+        recorder.keep(jpeg)
+        now[0] += 0.5
+    recorder.close()
+    kept = [(file, packets_in(file.path)) for file in ring_files(tmp_path / "ring")]
+    assert [content for _, packets in kept for content, _, _ in packets] == jpegs
+    taken = [file.begin + seconds for file, packets in kept for _, _, seconds in packets]
+    assert taken == pytest.approx([BEGAN + number / 2 for number in range(30)], abs=0.002)
+    assert len(kept) == 4
