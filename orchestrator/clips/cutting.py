@@ -38,7 +38,7 @@ _COPIED = frozenset(("h264", "hevc", "vp9", "av1"))
 _TAGS = {"hevc": "hvc1"}
 
 _OPTIONS = {"movflags": "faststart"}
-_ENCODER_OPTIONS = {"preset": "veryfast", "crf": "26", "g": "50"}
+_ENCODER_OPTIONS = {"preset": "ultrafast", "crf": "26", "g": "50"}
 _TICK = Fraction(1, 90_000)  # s
 _TIMEOUT_S = 20.0
 

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from http.client import HTTPConnection, HTTPResponse
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Literal
 
@@ -290,7 +291,38 @@ def test_a_still_is_served_and_a_newer_one_asked_for(url: str, tmp_path: Path) -
         assert get(url, path)[0].status == 404
 
 
-def test_a_browser_shows_an_events_picture_and_plays_its_clip(
+_PLAYER = """<body><video muted src="{address}"></video><script>
+const film = document.querySelector("video"), said = document.createElement("p");
+document.body.append(said);
+film.onloadedmetadata = () => {{ film.currentTime = 4.4; }};
+film.onseeked = () => {{
+  said.textContent = `${{film.duration}} s, ${{film.videoWidth}} px, at ${{film.currentTime}} s`;
+}};
+film.onerror = () => {{ said.textContent = film.error.message; }};
+</script>"""
+
+
+def test_a_browser_plays_a_clip_from_any_time(url: str, clip: bytes) -> None:
+    page = _PLAYER.format(address=f"{url}records/yard/{CLIP}").encode()
+
+    class Pages(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(page)
+
+        def log_message(self, *_: object) -> None:
+            """Say nothing."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Pages) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        opened = open_page(f"http://127.0.0.1:{server.server_port}/", seconds=10)
+        server.shutdown()
+    assert "6 s, 64 px, at 4.4 s" in opened.document
+
+
+def test_the_page_has_an_events_picture_and_its_clip(
     board: Board, clip: bytes, url: str, tmp_path: Path
 ) -> None:
     picture = "events/00000012-3.jpg"
