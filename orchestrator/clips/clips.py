@@ -8,7 +8,6 @@ camera nor the one that writes its record waits for a clip.
 from __future__ import annotations
 
 import json
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -31,7 +30,7 @@ from orchestrator.storage.durable_files import remove_temporary
 __all__ = ["Clips"]
 
 #: Between two looks at the files, s.
-_LOOK_SECONDS = 0.5
+_LOOK_SECONDS = 1.0
 
 #: Attempts at a clip at which the process that cuts is lost.
 _ATTEMPTS = 3
@@ -48,6 +47,8 @@ class _Stream:
     ----------
     place : int
         Up to which byte its file was read.
+    seen : tuple of int
+        Size and time of change that it had then.
     last : bytes
         The line that ends there: another one means that the file was replaced.
     wanted : set of WantedClip
@@ -57,6 +58,7 @@ class _Stream:
     """
 
     place: int = 0
+    seen: tuple[int, int] = (0, 0)
     last: bytes = b""
     wanted: set[WantedClip] = field(default_factory=set)
     has_fault: bool = False
@@ -167,15 +169,18 @@ class Clips:
 
 def _new_events(path: Path, stream: _Stream) -> Iterator[dict[str, Any]]:
     """Yield the events behind the place up to which a file was read, or all if it was replaced."""
+    stat = path.stat()
+    seen = stat.st_size, stat.st_mtime_ns
+    if seen == stream.seen:
+        return
     with path.open("rb") as file:
         file.seek(stream.place - len(stream.last))
         if file.read(len(stream.last)) != stream.last:
             stream.place, stream.last = 0, b""
             file.seek(0)
-        if os.fstat(file.fileno()).st_size == stream.place:
-            return
         for line in file:
             if not line.endswith(b"\n"):
                 return  # it is being written
             stream.place, stream.last = stream.place + len(line), line
             yield json.loads(line)
+    stream.seen = seen

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import av
 import pytest
+from av.video.frame import VideoFrame
 from coded_video import KEY_SECONDS, RATE, packets_of, record, write_video
+from sounding_video import write_sounding_video
 
 from orchestrator.clips.cutting import CutRequest, cut
 from orchestrator.clips.packet_ring import PacketRing
@@ -121,3 +123,17 @@ def test_a_clip_of_a_video_is_cut_out_of_it(tmp_path: Path, ending: str) -> None
     assert cut(request(tmp_path, 7, 13, video))
     numbers = [number for _, number in shown(tmp_path / "clips/a.mp4")]
     assert numbers == pytest.approx(range(30, 65), abs=2)
+
+
+@pytest.mark.parametrize("coder", ["aac", "libopus", "ac3"])
+def test_the_sound_is_in_the_clip_beside_its_frames(tmp_path: Path, coder: str) -> None:
+    write_sounding_video(tmp_path / "video.mkv", coder, frames=300)
+    record(tmp_path / "video.mkv", PacketRing(tmp_path / "ring", ENOUGH), BEGAN)
+    assert cut(request(tmp_path, BEGAN + 3.1, BEGAN + 8.1))
+    with av.open(str(tmp_path / "clips/a.mp4")) as container:
+        assert [stream.type for stream in container.streams] == ["video", "audio"]
+        frames: dict[str, list[float]] = {"video": [], "audio": []}
+        for frame in container.decode():
+            frames["video" if isinstance(frame, VideoFrame) else "audio"].append(float(frame.time or 0))
+    begin_and_end = pytest.approx((frames["video"][0], frames["video"][-1]), abs=0.5)
+    assert (frames["audio"][0], frames["audio"][-1]) == begin_and_end

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from orchestrator.clips.shelf import ClipShelf
+from orchestrator.disk_use import bytes_by_kind
 
 
 def clip(run: Path, stream: str, number: int, size: int = 100) -> Path:
@@ -44,6 +45,7 @@ def test_a_clip_of_several_events_counts_once_and_goes_as_a_whole(tmp_path: Path
     shelf = ClipShelf(tmp_path, most=2, most_bytes=250)
     shelf.add([clip(tmp_path, "gate", 3)])
     assert numbers(tmp_path, "gate") == [1, 2, 3]
+    assert bytes_by_kind(tmp_path / "gate") == {"clips": 200}
     shelf.add([clip(tmp_path, "gate", 4)])
     assert numbers(tmp_path, "gate") == [3, 4]
 
