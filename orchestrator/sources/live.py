@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from datetime import datetime
 from functools import partial
@@ -19,8 +19,6 @@ import av
 import av.error
 import av.logging
 from av.audio.stream import AudioStream
-from av.packet import Packet
-from av.stream import Stream
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
@@ -36,8 +34,9 @@ from orchestrator.sources.live_buffer import (
     Picture,
     retry_seconds,
 )
+from orchestrator.sources.packets import PacketKeeper, PacketStore
 
-__all__ = ["Connection", "LibavConnection", "LiveReader", "PacketKeeper", "PacketStore"]
+__all__ = ["Connection", "LibavConnection", "LiveReader"]
 
 #: Longest time until :meth:`LiveReader.read` answers, s.
 _ANSWER_SECONDS = 0.5
@@ -60,23 +59,6 @@ class Connection(Protocol):
 
     def close(self) -> None:
         """Close the connection."""
-
-
-class PacketKeeper(Protocol):
-    """Keeps the packets of one connection."""
-
-    def keep(self, packet: Packet[Stream]) -> None:
-        """Take the next one, which nobody else needs any more; a fault there is its own affair."""
-
-    def close(self) -> None:
-        """Take note that there are no more."""
-
-
-class PacketStore(Protocol):
-    """Where the packets of a camera are kept."""
-
-    def recorder(self, streams: Sequence[VideoStream | AudioStream]) -> PacketKeeper:
-        """Begin a new connection with these streams, of which the first one is the video."""
 
 
 class LibavConnection:

@@ -6,7 +6,8 @@ from mlbs_actors.source import FrameReader, SourceFrame
 from orchestrator.sources.address import SourceAddress, SourceKind
 from orchestrator.sources.animation import AnimationReader, is_animation
 from orchestrator.sources.images import FRAME_RATE, ImageSequenceReader
-from orchestrator.sources.live import LiveReader, PacketStore
+from orchestrator.sources.live import LiveReader
+from orchestrator.sources.packets import PacketStore
 from orchestrator.sources.presence import holds_images, require_source
 from orchestrator.sources.synthetic import SyntheticScene, scene_from_uri
 from orchestrator.sources.video import VideoReader
