@@ -24,6 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from orchestrator.counts.count_files import CountFiles
 from orchestrator.counts.tally import CountState, Tally
+from orchestrator.events.clip_names import clip_name
 from orchestrator.events.event import Event, EventKind
 from orchestrator.events.event_state import EventState
 from orchestrator.events.happenings import Happenings
@@ -275,8 +276,9 @@ class _EventLines:
         picture = None
         if row is not None and event.kind in _PICTURED and event.layer in self.pictured:
             picture = picture_name(row.frame, event.layer)
+        identity = event_id(self._stream, event)
         return {
-            "id": event_id(self._stream, event),
+            "id": identity,
             "stream": self._stream,
             "kind": event.kind,
             "frame": event.frame,
@@ -295,6 +297,7 @@ class _EventLines:
             "reason": event.reason,
             "replaced_by": event.replaced_by,
             "picture": picture,
+            "clip": clip_name(event.frame, identity) if event.kind in self._happenings.rules.clips else None,
             "number": number,
         }
 

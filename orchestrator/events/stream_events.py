@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.source import SourceFrame
+from orchestrator.events.clip_names import forget_clips_before
 from orchestrator.events.event_file import EventFile
 from orchestrator.events.outlines import outlines
 from orchestrator.events.pictures import EventPictures, Pictured
@@ -131,8 +132,9 @@ class StreamEvents:
         self._new_views = [(frame, path) for frame, path in self._new_views if frame >= rows]
 
     def forget_before(self, frame: int) -> None:
-        """Delete the oldest lines and pictures, as far as they are of frames before a number."""
+        """Delete the oldest lines, pictures and clips, as far as they are of frames before a number."""
         self._file.forget_before(frame)
+        forget_clips_before(self._folder, frame)
         if self._pictures is not None:
             self._pictures.forget_before(frame)
 

@@ -12,8 +12,8 @@ from typing import Any
 
 from orchestrator.counts.stream_counts import CountReader, StreamCounts, recent_hours
 from orchestrator.events.delivery import Backlog
-from orchestrator.events.pictures import PICTURES
 from orchestrator.events.recent import RecentEvents
+from orchestrator.monitor.recorded_files import RecordedFile, recorded_file, still_file
 from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.sinks.live_picture import live_picture_path, watch
 
@@ -118,9 +118,10 @@ class Board:
         """Return the newest picture (JPEG) of a stream; None if there is none."""
         return _content(live_picture_path(self._pictures, name))
 
-    def picture_of_event(self, name: str, file: str) -> bytes | None:
-        """Return a picture (JPEG) of a stream's events by its name; None if there is none."""
-        return _content(self._folder / name / PICTURES / file)
+    def recorded(self, path: str) -> RecordedFile | None:
+        """Return the file of a stream's record that the path of a request names; None if it names none."""
+        streams = frozenset(state.name for state in self.states)
+        return recorded_file(self._folder, streams, path) or still_file(self._folder, streams, path)
 
     def counts(self) -> dict[str, StreamCounts]:
         """Return what was counted, by stream, of those that have counts."""

@@ -9,6 +9,7 @@ const pause = document.getElementById("pause");
 const list = document.getElementById("streams");
 const cards = []; // in the order of the list of streams
 const large = document.querySelector("dialog");
+const [largeImage, film, noClip] = ["img", "video", "p"].map((name) => large.querySelector(name));
 let enlarged = null; // the picture that is shown large
 // Only what can be seen is loaded, however many streams there are.
 const inSight = new IntersectionObserver((entries) => {
@@ -66,10 +67,21 @@ function load(image) {
   if (image === enlarged) showLarge(image.src, image.alt);
 }
 
+function reveal(part) {
+  for (const one of [largeImage, film, noClip]) one.hidden = one !== part;
+}
+
 function showLarge(source, words) {
-  const image = large.querySelector("img");
-  if (image.getAttribute("src") !== source) image.src = source;
-  image.alt = words;
+  if (largeImage.getAttribute("src") !== source) largeImage.src = source;
+  largeImage.alt = words;
+  reveal(largeImage);
+}
+
+function play(source) {
+  enlarged = null;
+  film.src = source;
+  reveal(film);
+  large.showModal();
 }
 
 function enlarge(image) {
@@ -96,16 +108,32 @@ function listEvents(box, stream) {
   box.querySelector("ol").replaceChildren(...stream.events.slice().reverse().map((event) => {
     const line = document.createElement("li");
     write(line, describe(event));
+    const record = `records/${encodeURIComponent(stream.name)}`;
     if (event.picture) {
       const picture = document.createElement("button");
-      write(picture, "picture");
+      const image = document.createElement("img");
+      image.loading = "lazy";
+      image.src = `${record}/${event.picture}`;
+      image.alt = "picture";
       picture.type = "button";
+      picture.className = "of-event";
       picture.addEventListener("click", () => {
         enlarged = null;
-        showLarge(`streams/${encodeURIComponent(stream.name)}/${event.picture}`, describe(event));
+        showLarge(image.src, describe(event));
         large.showModal();
       });
-      line.append(" ", picture);
+      picture.append(image);
+      line.prepend(picture, " ");
+    }
+    if (event.clip) {
+      const clip = document.createElement("a");
+      write(clip, "clip");
+      clip.href = `${record}/${event.clip}`;
+      clip.addEventListener("click", (click) => {
+        click.preventDefault();
+        play(clip.href);
+      });
+      line.append(" ", clip);
     }
     return line;
   }));
@@ -272,6 +300,13 @@ pause.addEventListener("click", () => {
   const paused = pause.getAttribute("aria-pressed") === "false";
   pause.setAttribute("aria-pressed", String(paused));
 });
-large.addEventListener("close", () => { enlarged = null; });
-large.addEventListener("click", (click) => { if (click.target !== large.querySelector("button")) large.close(); });
+film.addEventListener("error", () => reveal(noClip));
+large.addEventListener("close", () => {
+  enlarged = null;
+  film.removeAttribute("src");
+  film.load(); // so that nothing more of it is fetched
+});
+large.addEventListener("click", (click) => {
+  if (click.target !== film && click.target !== large.querySelector("button")) large.close();
+});
 refresh();

@@ -13,6 +13,7 @@ from mlbs_actors.actors.stream.protocol import StreamSink, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.source import FrameReader
+from orchestrator.clips.packet_ring import PACKETS, PacketRing
 from orchestrator.command_line import command_again
 from orchestrator.credentials import mask
 from orchestrator.events.delivery import Deliveries
@@ -119,6 +120,11 @@ class Job:
     def cameras(self) -> list[Camera]:
         """Return what Home Assistant is told of the streams."""
         return [Camera.of(name, asked.rules) for name, asked in list(self._settings.items())]
+
+    def video(self, name: str) -> Path | None:
+        """Return the file that a stream reads; None of a camera."""
+        stream = self._streams.get(name)
+        return None if stream is None or stream.source.live else stream.source.path
 
     def keeps(self) -> dict[str | None, Keep]:
         """Return how much is kept of each camera that has a limit of its own, and for None of all others."""
@@ -283,7 +289,10 @@ class Job:
 
     def _spec(self, stream: ListedStream) -> StreamSpec:
         asked = self._settings[stream.name]
-        reader: Callable[[], FrameReader] = partial(open_reader, stream.source, asked.give_up_after)
+        clips, packets = self._arguments.clips, None
+        if clips is not None and stream.source.live:
+            packets = PacketRing(self._folder.stream(stream.name) / PACKETS, clips.ring_seconds)
+        reader: Callable[[], FrameReader] = partial(open_reader, stream.source, asked.give_up_after, packets)
         record = StreamRecord
         if asked.max_side is not None:
             reader, record = partial(ShrinkingReader, reader, asked.max_side), FullSizeRecord

@@ -22,6 +22,7 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError
 from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.wording import count_of
+from orchestrator.clips.clips import Clips
 from orchestrator.counts.stream_counts import CountReader
 from orchestrator.credentials import mask
 from orchestrator.events.delivery import Deliveries
@@ -119,7 +120,7 @@ def run(
     folder, streams = RunFolder(arguments.output.resolve()), listed.streams
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         targets = None if listed.targets is None else all_targets(arguments.events, listed.targets)
-        deliveries = Deliveries(targets, folder.path, log.warn, cameras=lambda: job.cameras())
+        deliveries = Deliveries(targets, folder.path, log.warn, _page_of(arguments), lambda: job.cameras())
         begun = None
         if arguments.resume and folder.holds_run:
             hold.enter_context(folder.locked())
@@ -193,6 +194,8 @@ def run(
             hold.enter_context(folder.locked())
         job.keep_description(listed.text)
         session.enter_context(deliveries)
+        if arguments.clips is not None:
+            session.enter_context(Clips(arguments.clips, folder.path, job.video, log.warn))
         if at_work:
             lengths = {name: one.length for name, one in survey.finish().items() if one.length is not None}
             states, exit_status = _drive(
@@ -215,6 +218,14 @@ def run(
             raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
     log.say(_closing_words(folder, states, arguments))
     return exit_status
+
+
+def _page_of(arguments: Arguments) -> str | None:
+    """Return the address of the live page for links, if it is known."""
+    monitor = arguments.monitor
+    if arguments.page is not None or monitor is None or not monitor.port or monitor.host in ("0.0.0.0", "::"):
+        return arguments.page
+    return f"http://{monitor.host}:{monitor.port}"
 
 
 def _without_source(stream: ListedStream, fault: str) -> StreamState:

@@ -35,6 +35,7 @@ from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
+from orchestrator.sinks.still import Still
 from orchestrator.sources.address import SourceAddress
 from orchestrator.storage.commit_log import CommitLog, first_frame, permanent, read_commits
 from orchestrator.storage.durable_files import publish, remove_temporary, temporary_path
@@ -115,6 +116,7 @@ class StreamRecord:
         self._name = name
         self._save = save
         self._live_picture = live_picture
+        self._still = Still(folder) if live else None
         self._live = live
         self._drawing = drawing
         self._rows: list[FrameRow] = []
@@ -189,6 +191,8 @@ class StreamRecord:
                 self._overlay.add(shown)
             if self._live_picture is not None:
                 self._live_picture.show(shown)
+            if self._still is not None:
+                self._still.show(frame.image)
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from http.client import HTTPConnection, HTTPResponse
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 from chromium import open_page
+from coded_video import write_video
 from record_fakes import frame, segmentation
 
 from mlbs_actors.actors.stream.protocol import StreamProgress
@@ -32,6 +34,7 @@ from orchestrator.run.stream_state import StateName, StreamState, after_progress
 from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path, watch
 from orchestrator.sinks.record import StreamRecord
+from orchestrator.sinks.still import Still
 
 ROOT = Path(__file__).resolve().parents[3]
 TOKEN = "a-token-of-the-tests"
@@ -200,10 +203,144 @@ def test_the_status_has_the_last_events_and_the_page_their_pictures(
     assert yard["events"] == [json.loads(line) for line in written[-10:]]
     pictures = [event["picture"] for event in yard["events"] if event["picture"] is not None]
     assert pictures
-    answer, body = get(url, f"/streams/yard/{pictures[-1]}")
+    answer, body = get(url, f"/records/yard/{pictures[-1]}")
     assert (answer.status, answer.getheader("Content-Type"), body[:2]) == (200, "image/jpeg", b"\xff\xd8")
     for path in ("yard/events/../events.jsonl", "yard/events/nothing.jpg", "nobody/" + pictures[-1], "yard"):
-        assert get(url, f"/streams/{path}")[0].status == 404
+        assert get(url, f"/records/{path}")[0].status == 404
+
+
+CLIP = "clips/00000012-0123abcd.mp4"
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> bytes:
+    path = tmp_path / "out/yard" / CLIP
+    path.parent.mkdir(parents=True)
+    return write_video(path, 6).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("asked", "status", "expected"),
+    [
+        (None, 200, slice(None)),
+        ("bytes=0-", 206, slice(None)),
+        ("bytes=10-19", 206, slice(10, 20)),
+        ("bytes=-7", 206, slice(-7, None)),
+        ("bytes=100-999999", 206, slice(100, None)),
+        ("bytes=0-1,5-6", 200, slice(None)),
+        ("pages=1-2", 200, slice(None)),
+        ("bytes=-", 200, slice(None)),
+    ],
+)
+def test_a_player_gets_the_part_of_a_clip_that_it_asks_for(
+    url: str, clip: bytes, asked: str | None, status: int, expected: slice
+) -> None:
+    answer, body = get(url, f"/records/yard/{CLIP}", **({} if asked is None else {"Range": asked}))
+    assert (answer.status, body) == (status, clip[expected])
+    assert answer.getheader("Content-Type") == "video/mp4"
+    assert answer.getheader("Accept-Ranges") == "bytes"
+    first, last, _ = expected.indices(len(clip))
+    whole = f"bytes {first}-{last - 1}/{len(clip)}"
+    assert answer.getheader("Content-Range") == (whole if status == 206 else None)
+
+
+def test_a_part_that_a_clip_does_not_have_is_refused(url: str, clip: bytes) -> None:
+    for asked in (f"bytes={len(clip)}-", "bytes=9-3", "bytes=-0"):
+        answer, body = get(url, f"/records/yard/{CLIP}", Range=asked)
+        assert (answer.status, body) == (416, b"")
+        assert answer.getheader("Content-Range") == f"bytes */{len(clip)}"
+
+
+def test_nothing_but_pictures_and_clips_of_its_streams_is_served(
+    url: str, clip: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "out/other/clips").mkdir(parents=True)
+    (tmp_path / "out/other" / CLIP).write_bytes(b"of no stream of this run")
+    (tmp_path / "out/yard/events.jsonl").write_bytes(b"lines")
+    name = CLIP.removeprefix("clips/")
+    for path in (
+        "yard/events.jsonl",
+        "yard/clips/",
+        "yard/clips/../events.jsonl",
+        "yard/clips/%2e%2e/events.jsonl",
+        f"other/{CLIP}",
+        f"yard/../other/{CLIP}",
+        f"yard%2f..%2fother/{CLIP}",
+        f"yard/events/{name}",
+        "yard/clips/00000013-0123abcd.mp4",
+        f"yard//clips/{name}",
+        "yard",
+        "",
+    ):
+        assert get(url, f"/records/{path}")[0].status == 404, path
+    assert get(url, f"/{CLIP}")[0].status == 404
+
+
+def test_clips_and_stills_need_the_token_as_the_page_does(
+    board: Board, clip: bytes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv(TOKEN_VARIABLE, TOKEN)
+    (tmp_path / "out/yard/still.jpg").write_bytes(b"a picture")
+    with serving(HERE, board) as url:
+        for path in (f"/records/yard/{CLIP}", "/stills/yard.jpg"):
+            assert get(url, path)[0].status == 401
+            assert get(url, path, Authorization=f"Bearer {TOKEN}")[0].status == 200
+
+
+def test_a_still_is_served_and_a_newer_one_asked_for(url: str, tmp_path: Path) -> None:
+    assert get(url, "/stills/yard.jpg")[0].status == 404  # there is none yet
+    folder = tmp_path / "out/yard"
+    still = Still(folder.parent / "yard", lambda: 0.0)
+    folder.mkdir(parents=True)
+    still.show(np.zeros((48, 64, 3), np.uint8))
+    answer, body = get(url, "/stills/yard.jpg")
+    assert (answer.status, answer.getheader("Content-Type"), body[:2]) == (200, "image/jpeg", b"\xff\xd8")
+    assert (folder / ".still-asked").exists()
+    for path in ("/stills/nobody.jpg", "/stills/yard", "/stills/../out/yard.jpg", "/stills/yard.jpg.jpg"):
+        assert get(url, path)[0].status == 404
+
+
+_PLAYER = """<body><video muted src="{address}"></video><script>
+const film = document.querySelector("video"), said = document.createElement("p");
+document.body.append(said);
+film.onloadedmetadata = () => {{ film.currentTime = 4.4; }};
+film.onseeked = () => {{
+  said.textContent = `${{film.duration}} s, ${{film.videoWidth}} px, at ${{film.currentTime}} s`;
+}};
+film.onerror = () => {{ said.textContent = film.error.message; }};
+</script>"""
+
+
+def test_a_browser_plays_a_clip_from_any_time(url: str, clip: bytes) -> None:
+    page = _PLAYER.format(address=f"{url}records/yard/{CLIP}").encode()
+
+    class Pages(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(page)
+
+        def log_message(self, *_: object) -> None:
+            """Say nothing."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Pages) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        opened = open_page(f"http://127.0.0.1:{server.server_port}/", seconds=10)
+        server.shutdown()
+    assert "6 s, 64 px, at 4.4 s" in opened.document
+
+
+def test_the_page_has_an_events_picture_and_its_clip(
+    board: Board, clip: bytes, url: str, tmp_path: Path
+) -> None:
+    picture = "events/00000012-3.jpg"
+    line = {"id": "a", "kind": "entered", "clock": None, "time": 1.2, "object": 3, "zone": "here"}
+    line |= {"direction": None, "picture": picture, "clip": CLIP}
+    (tmp_path / "out/yard/events.jsonl").write_text(json.dumps(line) + "\n")
+    page = open_page(url, seconds=3)
+    assert f'src="records/yard/{picture}"' in page.document
+    assert f'href="records/yard/{CLIP}"' in page.document
 
 
 @pytest.fixture
