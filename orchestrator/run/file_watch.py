@@ -9,7 +9,7 @@ from pathlib import Path
 __all__ = ["FileWatch"]
 
 #: Interval of checks, s.
-_LOOK_SECONDS = 1.0
+_LOOK_SECONDS = 0.5
 
 
 class FileWatch:

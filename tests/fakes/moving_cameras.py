@@ -16,7 +16,7 @@ import numpy as np
 __all__ = ["MovingCameras", "moving_cameras"]
 
 #: Pictures a second, and of one walk; width and height, px.
-_RATE, _WALK = 10, 80
+_RATE, _WALK = 5, 48
 _SIZE = (320, 240)
 
 
@@ -27,7 +27,7 @@ def _pictures() -> list[bytes]:
     pictures = []
     for step in range(_WALK):
         picture = ground.copy()
-        left = 20 + 3 * min(step, _WALK - step) * 2
+        left = 20 + 10 * min(step, _WALK - step)
         picture[100:160, left : left + 40] = walker
         pictures.append(cv2.imencode(".jpg", picture)[1].tobytes())
     return pictures

@@ -60,14 +60,14 @@ def test_new_lines_are_new_streams_and_lines_that_are_gone_end_theirs(watched: W
     assert watched.told == []
 
 
-def test_the_list_is_looked_at_once_a_second_at_most(watched: Watched) -> None:
+def test_the_list_is_looked_at_twice_a_second_at_most(watched: Watched) -> None:
     watched.path.write_text("a.mp4\nb.mp4\nc.mp4\n")
     for _ in range(8):
-        watched.now += 0.1
+        watched.now += 0.05
         assert watched.watch.look() is None
-    watched.now += 0.9
+    watched.now += 0.45
     assert watched.watch.look() is None
-    watched.now += 1.1
+    watched.now += 0.55
     assert named(watched.watch.look()) == (["c"], [])
 
 
