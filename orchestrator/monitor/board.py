@@ -23,6 +23,9 @@ _POINTS = 240
 #: Newest events of a stream that are shown.
 _EVENTS = 10
 
+#: Name of a stream's newest frame as it came.
+_STILL = "still.jpg"
+
 
 class Board:
     """An observer of the driver that can be read from other threads.
@@ -113,6 +116,10 @@ class Board:
     def picture_of_event(self, name: str, file: str) -> bytes | None:
         """Return a picture (JPEG) of a stream's events by its name; None if there is none."""
         return _content(self._folder / name / PICTURES / file)
+
+    def still_of(self, name: str) -> Path:
+        """Return where the newest frame of a stream is, as it came; it may not be there."""
+        return self._folder / name / _STILL
 
     def watch(self, name: str) -> None:
         """Ask for more pictures of a stream for a while."""
