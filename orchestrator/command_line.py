@@ -87,6 +87,8 @@ def _refuse_together(arguments: Arguments) -> None:
         )
     if arguments.private and "cutouts" in arguments.save:
         raise ConfigError("--save cutouts cuts out what --private hides; leave one of them out.")
+    if arguments.private and arguments.clips is not None:
+        raise ConfigError("--clips keeps the cameras' own video, which --private cannot blur; leave one out.")
     if arguments.ray_metrics and arguments.address is not None:
         raise ConfigError(
             "With --address metrics come from ports of the cluster; give --ray-metrics without PORT."

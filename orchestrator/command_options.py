@@ -20,8 +20,9 @@ examples:
 """
 
 _EPILOG = """\
-a SOURCE is a video file, a folder or a glob of images, rtsp://HOST/PATH, rtsps://HOST/PATH, http://HOST/PATH
-or https://HOST/PATH (MJPEG), /dev/videoN, demo or another made scene, synthetic:demo?frames=60&seed=1
+a SOURCE is a video file, a folder or a glob of images; a camera: rtsp(s)://HOST/PATH, http(s)://HOST/PATH
+(MJPEG, a JPEG, HLS, live video), rtmp(s)://HOST/PATH, udp://@:PORT or tcp://HOST:PORT (MPEG-TS), /dev/videoN;
+demo or another made scene, synthetic:demo?frames=60&seed=1
 a folder or a glob of videos is a stream for each of them; so is a glob of folders of images, such as
 'DAVIS/JPEGImages/480p/*', and of images in many folders, 'moseg_dataset/*/*.ppm'
 a stream is named after the last part of its source's path; of several clip.mp4 the second one is clip-2
@@ -31,6 +32,7 @@ or for --give-up-after SECONDS
 the list of streams, one a line (shell quoting, # comments, relative paths count from the list's folder):
   SOURCE
   NAME SOURCE             a name of your own; of a folder or glob of videos NAME-FILE
+or a file of cameras, LIST.yaml, in which each stream has zones, limits and parameters of its own
 
 output:
   DIR/run.json                   what was asked for, with versions and hashes

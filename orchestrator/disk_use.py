@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.clips.packet_ring import PACKETS
+from orchestrator.events.clip_names import CLIPS
 from orchestrator.events.pictures import PICTURES
 from orchestrator.events.scene import VIEWS
 from orchestrator.sinks.overlay import overlays
@@ -27,7 +29,7 @@ __all__ = ["KINDS", "StreamUse", "bytes_by_kind", "main", "stream_use"]
 KINDS = ("masks", "tables", "overlay", "background", "cutouts", "lists")
 
 #: Folders of a stream that do not, as their oldest files are deleted or their number is bounded.
-_BOUNDED = (SNAPSHOTS, PICTURES, VIEWS)
+_BOUNDED = (SNAPSHOTS, PICTURES, VIEWS, CLIPS, PACKETS)
 
 _NEWEST_ROWS = 20_000  # by which sizes and rates are measured
 _DAY_SECONDS = 86_400
@@ -64,9 +66,10 @@ def bytes_by_kind(folder: Path) -> Counter[str]:
         part = next(iter(Path(place).relative_to(folder).parts), None)
         for name in files:
             try:
-                size = Path(place, name).stat().st_size
+                stat = Path(place, name).stat()
             except FileNotFoundError:
                 continue  # published or deleted just now
+            size = stat.st_size // stat.st_nlink  # a clip of several events has several names
             found[part if part in KINDS or part in _BOUNDED else _kind(name.lstrip("."))] += size
     return found
 

@@ -58,11 +58,19 @@ class Log:
         self._run = run
         self._now = now
 
-    def say(self, text: str, level: Level = "info") -> None:
-        """Write a message on standard error: standard output is for progress, which a program may read."""
+    def say(self, text: str, level: Level = "info", stream: str | None = None) -> None:
+        """Write a message on standard error: standard output is for progress, which a program may read.
+
+        Parameters
+        ----------
+        text : str
+        level : Level
+        stream : str, optional
+            The one that it concerns.
+        """
         text = mask(text)
         if self.form == "json":
-            text = self.json_line("message", level, None, {"message": text})
+            text = self.json_line("message", level, stream, {"message": text})
         self.write(sys.stderr, text)
 
     def warn(self, text: str) -> None:

@@ -17,6 +17,7 @@ from orchestrator.log import FORMATS, LogFormat
 from orchestrator.monitor.address import MonitorAddress
 
 if TYPE_CHECKING:
+    from orchestrator.clips.settings import ClipSettings
     from orchestrator.events.targets import EventTarget
     from orchestrator.ignored import Ignored
     from orchestrator.run.retention_limits import Keep
@@ -167,6 +168,20 @@ def targets(texts: Sequence[str]) -> tuple[EventTarget, ...]:
     from orchestrator.events.targets import parse_target
 
     return tuple(parse_target(text) for text in texts)
+
+
+def clips(text: str) -> ClipSettings:
+    """Read the seconds of a clip before and after an event."""
+    from orchestrator.clips.settings import clip_settings
+
+    return clip_settings(text)
+
+
+def page(text: str) -> str:
+    """Read the address of a page."""
+    if not text.startswith(("http://", "https://")) or "?" in text or "#" in text:
+        raise ValueError(f"takes an address such as https://cameras.example.org/mlbs, not {mask(text)!r}.")
+    return text.rstrip("/")
 
 
 def segment(text: str) -> int:

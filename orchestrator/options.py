@@ -17,6 +17,7 @@ from orchestrator.log import FORMATS, LogFormat
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 
 if TYPE_CHECKING:
+    from orchestrator.clips.settings import ClipSettings
     from orchestrator.events.targets import EventTarget
     from orchestrator.events.zones import ZonesFile
     from orchestrator.ignored import Ignored
@@ -313,6 +314,28 @@ class Arguments:
             page="events.md#sending-them",
         ),
     ] = ()
+    clips: Annotated[
+        "ClipSettings | None",
+        Option(
+            "make a clip of each event that is entered, crossed or a rule, from so many seconds before it to "
+            "so many after it (default: 5,5)",
+            "BEFORE,AFTER",
+            form=Form.OPTIONAL_VALUE,
+            read=values.clips,
+            write=lambda clips: [f"{clips.before:g},{clips.after:g}"],
+            page="events.md#clips",
+        ),
+    ] = None
+    page: Annotated[
+        str | None,
+        Option(
+            "address at which others find the page of --monitor, for the links in events (default: that of "
+            "--monitor, if it names a PORT and no HOST that stands for all)",
+            "URL",
+            read=values.page,
+            page="events.md#sending-them",
+        ),
+    ] = None
     segment: Annotated[
         int | None,
         Option(

@@ -93,7 +93,7 @@ class JsonLines:
         now = self._clock()
         for state in states:
             if event := self._pace.due(state, now):
-                figures = state.figures()
+                figures = {"message": _sentence(state), **state.figures()}
                 name = figures.pop("name")
                 self._log.write(self._output, self._log.json_line(event, _level(state), name, figures))
 

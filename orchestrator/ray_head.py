@@ -1,9 +1,9 @@
-"""Ray's own processes on this machine, out of reach of signals that a shell sends to the command's group.
+"""Ray's own processes on this machine, out of reach of signals that are meant for the command.
 
-Ctrl-C, ``timeout`` and a closing terminal signal every process of a group. Ray's processes would end first,
-and the command could not write what is still in them. So they are started by a process in a session of its
-own (:mod:`orchestrator.ray_processes`), which ends them when the command asks for it, and when the command is
-gone.
+Ctrl-C, ``timeout`` and a closing terminal signal every process of a group, a service manager every process of
+a service. Ray's processes would end first, and the command could not write what is still in them. So they are
+started by a process in a session of its own (:mod:`orchestrator.ray_processes`), which holds SIGTERM off
+them, and ends them when the command asks for it, and when the command is gone.
 """
 
 from __future__ import annotations
@@ -26,17 +26,10 @@ _END_SECONDS = 20.0
 
 
 class RayHead:
-    """Ray's processes, which may be starting still; made by :func:`ray_head`.
-
-    Attributes
-    ----------
-    has_started : bool
-        Whether :meth:`address` has returned one.
-    """
+    """Ray's processes, which may be starting still; made by :func:`ray_head`."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
-        self.has_started = False
 
     def address(self) -> str:
         """Wait until Ray has started; return the address to join, ``HOST:PORT``.
@@ -50,7 +43,6 @@ class RayHead:
         started = json.loads(self._process.stdout.readline() or "{}")
         if "address" not in started:
             raise MlbsError(started.get("error", "its first process ended"))
-        self.has_started = True
         return str(started["address"])
 
     def begin_to_end(self) -> None:
@@ -84,12 +76,9 @@ def ray_head(scratch: Path, options: Mapping[str, Any]) -> Iterator[RayHead]:
     ):
         head = RayHead(process)
         try:
-            try:
-                yield head
-            finally:
-                if head.has_started:
-                    head.begin_to_end()
-                    with suppress(subprocess.TimeoutExpired):
-                        process.wait(_END_SECONDS)
+            yield head
         finally:
-            process.kill()  # while it starts Ray, for example; the kernel then kills what it has started
+            head.begin_to_end()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_END_SECONDS)
+            process.kill()  # the kernel then kills what it has started

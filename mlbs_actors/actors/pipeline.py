@@ -30,6 +30,7 @@ from mlbs_actors.actors.stream.reader import ReaderActor
 from mlbs_actors.actors.stream.segmenter_actor import SegmenterActor
 from mlbs_actors.actors.stream.sink import SinkActor
 from mlbs_actors.errors import MlbsError
+from mlbs_actors.source import FrameReader
 
 __all__ = ["Node", "StreamActors", "sinks_of"]
 
@@ -307,6 +308,10 @@ class StreamActors:
         if self._bursts > 1:  # in parallel with the burst, as starting processes takes time here
             self._under_way()
         return progress
+
+    def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
+        """See :meth:`RunningStream.reopen`."""
+        self._coordinator.reopen.remote(open_reader)
 
     def configure(self, settings: object) -> None:
         """See :meth:`RunningStream.configure`."""

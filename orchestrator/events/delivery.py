@@ -1,66 +1,39 @@
-"""Sends the events of a run to a target: at least once, in the order of each stream, without holding it up.
+"""Sends the events of a run to its targets: at least once, in the order of each stream, holding nothing up.
 
-The files ``events.jsonl`` are the queue. For each target the run's folder holds how far every stream's file
-was acknowledged. Lines that are not committed yet are sent, too, though a stream that goes back replaces
-them; so only the committed part of a file is counted by numbers, the rest by its ids. The oldest lines of a
-camera can be deleted, delivered or not, as the queue is bounded. An event that a target refuses is set aside,
-and the next one is sent.
+One thread takes what is written into the outbox; each target has a carrier for what waits for it there.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
+import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timezone
-from functools import partial
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
-
+from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
-from orchestrator.events.event_file import EVENTS, committed_events
-from orchestrator.events.recent import recent_events
-from orchestrator.events.targets import DeliveryError, EventTarget, RefusedEventError, Sender, open_sender
-from orchestrator.sources.live_buffer import retry_seconds
-from orchestrator.storage.durable_files import replace_file
+from orchestrator.events.carrier import Carrier, Mail
+from orchestrator.events.home_assistant import Camera
+from orchestrator.events.intake import Intake
+from orchestrator.events.outbox import Outbox
+from orchestrator.events.targets import EventTarget
 
-__all__ = ["Backlog", "Deliveries", "Delivery"]
+__all__ = ["OUTBOX", "Backlog", "Deliveries"]
 
-#: File of the run's folder with what targets have refused.
-_REFUSED = "events-refused.jsonl"
+#: The outbox, in the run's folder.
+OUTBOX = ".outbox.sqlite"
 
 #: Between two looks at the files, s.
 _LOOK_SECONDS = 0.1
 
 #: How long the end of a run waits for what has not been delivered, s.
 _GRACE_SECONDS = 5.0
-
-
-@dataclass(slots=True)
-class _Position:
-    """How far a stream's events were acknowledged.
-
-    Attributes
-    ----------
-    number : int
-        All events up to this number were, and they do not change.
-    ids : dict of str to int
-        And these events behind them, with their numbers.
-    """
-
-    number: int = 0
-    ids: dict[str, int] = field(default_factory=dict)
-
-
-_POSITIONS = TypeAdapter(dict[str, _Position])
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,250 +71,154 @@ class Backlog:
 
 
 class Deliveries:
-    """Delivers the events of a run's folder to all targets, from the start to the end of a ``with`` block."""
+    """Delivers the events of a run's folder to all targets, from the start to the end of a ``with`` block.
 
-    def __init__(self, targets: Sequence[EventTarget], folder: Path, say: Callable[[str], None]) -> None:
-        self._all = [
-            Delivery(name, target.url, partial(open_sender, target), folder, say)
-            for name, target in zip(_names(targets), targets, strict=True)
-        ]
-        self._closing = ExitStack()
+    Parameters
+    ----------
+    targets : sequence of EventTarget, optional
+        None while they are not known: then what waits goes on waiting.
+    folder : Path
+        Of the run, which is locked for this process.
+    say : callable
+        Receives a sentence when a target goes away, when it is back, and at the end.
+    page : str, optional
+        Address of the live page, below which pictures and clips of events are found.
+    cameras : callable
+        Returns what Home Assistant is told of the streams; asked again and again, by other threads.
+    """
+
+    def __init__(
+        self,
+        targets: Sequence[EventTarget] | None,
+        folder: Path,
+        say: Callable[[str], None],
+        page: str | None = None,
+        cameras: Callable[[], Sequence[Camera]] = tuple,
+    ) -> None:
+        self._targets = targets
+        self._folder = folder
+        self._say = say
+        self._page = page
+        self._cameras = cameras
+        self._mail: Mail | None = None
+        self._carriers: dict[str, Carrier] = {}
+        self._last: list[Backlog] | None = None  # as it was at the end
+        self._lock = threading.Lock()  # one at a time takes events, or changes who gets them
+        self._stop = threading.Event()
+        self._looking = threading.Thread(target=self._look_again, daemon=True)
 
     def __enter__(self) -> Deliveries:
-        for delivery in self._all:
-            delivery.start()
-            self._closing.callback(delivery.close)
+        if self._targets is not None:
+            self.retarget(self._targets)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, place: TracebackType | None
     ) -> None:
-        self._closing.close()
+        """Deliver what there is, for a limited time, and stop."""
+        self._stop.set()
+        if self._mail is None:
+            return
+        self._looking.join()
+        self._mail.intake.look()
+        until = time.monotonic() + _GRACE_SECONDS
+        for carrier in self._carriers.values():
+            carrier.finish()
+        for carrier in self._carriers.values():
+            carrier.close(until)
+        self._last = self.backlogs()
+        self._mail.outbox.close()
+        for backlog in self._last:
+            if backlog.waiting:
+                self._say(
+                    f"{count_of(backlog.waiting, 'event')} could not be delivered to {backlog.target}; the "
+                    "same command with --resume tries again."
+                )
+
+    def retarget(self, targets: Sequence[EventTarget]) -> None:
+        """Send to these targets from now on.
+
+        A new one gets the events that happen from then on. One that is gone gets none any more, those that
+        wait included. One with another filter or password goes on where it was, without the events that it
+        does not want any more.
+
+        Raises
+        ------
+        ConfigError
+            If the outbox cannot be opened.
+        sqlite3.Error
+            If the disk does not allow it; then nothing has changed.
+        """
+        wanted = {target.key: target for target in targets}
+        with self._lock:
+            if self._mail is None:
+                if not wanted and not (self._folder / OUTBOX).exists():
+                    return
+                self._mail = self._opened()
+                self._looking.start()
+            self._mail.intake.look()  # what has happened so far is for those who were there
+            self._mail.outbox.retarget({key: target.wanted for key, target in wanted.items()})
+            for key in self._carriers.keys() - wanted.keys():
+                self._carriers.pop(key).give_up()
+            for key, target in wanted.items():
+                if key in self._carriers:
+                    self._carriers[key].replace(target)
+                else:
+                    self._carriers[key] = Carrier(target, self._free_name(target), self._mail)
+                    self._carriers[key].start()
+
+    def rename(self, before: str, now: str) -> None:
+        """Give the folder of a stream another name; nothing of it is sent again.
+
+        Raises
+        ------
+        OSError, sqlite3.Error
+            If the disk does not allow it; then nothing is lost.
+        """
+        with self._lock:
+            path = self._folder / OUTBOX
+            if self._mail is not None:
+                self._mail.outbox.rename(before, now)
+            elif path.exists():
+                outbox = Outbox(path)
+                outbox.rename(before, now)
+                outbox.close()
+            (self._folder / before).rename(self._folder / now)
 
     def backlogs(self) -> list[Backlog]:
         """Return what each target has not acknowledged."""
-        return [delivery.backlog() for delivery in self._all]
+        if self._mail is None or self._last is not None:
+            return self._last or []
+        found = []
+        for key, carrier in list(self._carriers.items()):
+            standing = self._mail.outbox.standing(key)
+            found.append(Backlog(carrier.name, standing.waiting, carrier.away_since, standing.refused))
+        return found
 
-
-class Delivery:
-    """Delivers to one target, in a thread of its own.
-
-    Parameters
-    ----------
-    name : str
-        Of the target, without secrets, for messages.
-    key : str
-        What tells it from other targets.
-    open_sender : callable
-        Returns a way to it.
-    folder : Path
-        Of the run.
-    say : callable
-        Receives a sentence when the target goes away, when it is back, and at the end.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        key: str,
-        open_sender: Callable[[], Sender],
-        folder: Path,
-        say: Callable[[str], None],
-    ) -> None:
-        self._name = name
-        self._open_sender = open_sender
-        self._folder = folder
-        self._say = say
-        self._path = folder / f".delivered-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
-        self._positions: dict[str, _Position] = {}
-        self._away_since: float | None = None
-        self._refused = 0
-        self._has_accepted = False
-        self._looked: dict[Path, tuple[int, int]] = {}
-        # Of each file the inode, and where its first line is that may be waiting.
-        self._starts: dict[Path, tuple[int, int]] = {}
-        self._faulty: set[Path] = set()
-        self._last_look, self._stop = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-
-    def start(self) -> None:
-        """Go on where an earlier run was; the run's folder is locked."""
-        self._positions = _read_positions(self._path)
-        self._has_accepted = any(one.number or one.ids for one in self._positions.values())
-        self._refused = sum(one.get("target") == self._name for one in _refused_events(self._folder))
-        self._thread.start()
-
-    def backlog(self) -> Backlog:
-        """Return what the target has not acknowledged, counted by numbers, as that takes no time."""
-        waiting = 0
-        for path in self._files():
-            position = self._positions.get(path.parent.name, _Position())
-            oldest, newest = _numbers(path)
-            waiting += max(newest - max(position.number, oldest - 1) - len(position.ids), 0)
-        return Backlog(self._name, waiting, self._away_since, self._refused)
-
-    def close(self) -> None:
-        """Deliver what there is, for a limited time, and stop."""
-        self._last_look.set()
-        self._thread.join(_GRACE_SECONDS)
-        self._stop.set()
-        left = sum(1 for path in self._files() for _ in self._waiting(path))
-        if left:
-            self._say(
-                f"{count_of(left, 'event')} could not be delivered to {self._name}; the same command with "
-                "--resume tries again."
-            )
-
-    def _run(self) -> None:
-        sender = self._open_sender()
+    def _opened(self) -> Mail:
+        path = self._folder / OUTBOX
         try:
-            while not self._stop.is_set():
-                last = self._last_look.is_set()
-                for path in self._files():
-                    try:
-                        self._deliver(path, sender)
-                    except (OSError, ValueError) as error:
-                        self._complain(path, error)
-                if last:
-                    break
-                self._last_look.wait(_LOOK_SECONDS)
-        finally:
-            sender.close()
+            outbox = Outbox(path)
+        except sqlite3.OperationalError as error:
+            raise ConfigError(f"--events: {path} cannot be used: {error}.") from None
+        except sqlite3.DatabaseError:
+            aside = path.with_name(f"{path.name}.damaged")
+            path.replace(aside)
+            path.with_name(f"{path.name}-wal").unlink(missing_ok=True)  # it would be taken for the new one's
+            self._say(f"{path} is damaged and was renamed to {aside.name}: events that waited are not sent.")
+            outbox = Outbox(path)
+        intake = Intake(self._folder, outbox, self._say)
+        return Mail(self._folder, outbox, intake, self._say, self._page, self._cameras)
 
-    def _complain(self, path: Path, error: Exception) -> None:
-        """Say once why a file's events wait; a line that is just replaced cannot be read for a moment."""
-        if isinstance(error, OSError) and path not in self._faulty:
-            self._faulty.add(path)
-            self._say(f"Events of {path.parent.name} wait: {error.strerror} ({path}). It is tried again.")
+    def _free_name(self, target: EventTarget) -> str:
+        """Return what a target is called; those that differ only in what is not shown are numbered."""
+        taken = {carrier.name for carrier in self._carriers.values()}
+        names = (target.shown if number == 1 else f"{target.shown} ({number})" for number in count(1))
+        return next(name for name in names if name not in taken)
 
-    def _files(self) -> list[Path]:
-        return sorted(self._folder.glob(f"*/{EVENTS}"))
-
-    def _deliver(self, path: Path, sender: Sender) -> None:
-        stat = path.stat()
-        seen = stat.st_size, stat.st_mtime_ns
-        if self._looked.get(path) == seen:
-            return
-        for event in self._waiting(path):
-            if not self._send(event, sender):
-                return
-            self._acknowledge(path, event)
-        self._looked[path] = seen
-
-    def _waiting(self, path: Path) -> Iterator[bytes]:
-        """Yield each event that was not acknowledged."""
-        known = set(self._position(path).ids)
-        for line, event in self._behind_position(path):
-            if event["id"] not in known:
-                yield line.rstrip()
-
-    def _position(self, path: Path) -> _Position:
-        return self._positions.setdefault(path.parent.name, _Position())
-
-    def _behind_position(self, path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
-        """Yield the lines behind a file's position, with their contents."""
-        number = self._position(path).number
-        with path.open("rb") as file:
-            inode = os.fstat(file.fileno()).st_ino
-            before, place = self._starts.get(path, (inode, 0))
-            place = place if before == inode else 0
-            file.seek(place)
-            for line in file:
-                if not line.endswith(b"\n"):
-                    return  # it is being written
-                place += len(line)
-                event = json.loads(line)
-                if event.get("number", 0) > number:  # an earlier version's have none
-                    yield line, event
-                else:
-                    self._starts[path] = inode, place
-
-    def _send(self, event: bytes, sender: Sender) -> bool:
-        failures = 0
-        while not self._stop.is_set():
-            try:
-                self._send_or_set_aside(event, sender)
-            except (DeliveryError, OSError) as error:
-                failures += 1
-                if failures == 1:
-                    self._away_since = time.time()
-                    reason = str(error).rstrip(".")
-                    self._say(f"Events cannot be delivered to {self._name}: {reason}. It is tried again.")
-                self._stop.wait(retry_seconds(failures))
-            else:
-                self._away_since, self._has_accepted = None, True
-                if failures:
-                    self._say(f"Events are delivered to {self._name} again.")
-                return True
-        return False
-
-    def _send_or_set_aside(self, event: bytes, sender: Sender) -> None:
-        try:
-            sender.send(event)
-        except RefusedEventError as error:
-            if not (error.is_certain or self._has_accepted):
-                raise
-            self._set_aside(event, str(error))
-
-    def _set_aside(self, event: bytes, answer: str) -> None:
-        """Keep an event that will never be accepted where the operator finds it; say so the first time."""
-        line = {"target": self._name, "answer": answer, "event": json.loads(event)}
-        with (self._folder / _REFUSED).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
-        self._refused += 1
-        if self._refused == 1:
-            self._say(
-                f"{self._name} refuses an event: {answer.rstrip('.')}. It is set aside in {_REFUSED}, and so "
-                "will be others; the next one is sent."
-            )
-
-    def _acknowledge(self, path: Path, line: bytes) -> None:
-        position, event = self._position(path), json.loads(line)
-        position.ids[event["id"]] = event["number"]
-        end = min(event["number"], committed_events(path.parent))
-        if end > position.number:
-            final = {event["id"] for _, event in self._behind_position(path) if event["number"] <= end}
-            if final.issubset(position.ids):
-                position.number = end
-                position.ids = {one: number for one, number in position.ids.items() if number > end}
-        replace_file(self._path, _POSITIONS.dump_json(self._positions))
-
-
-def _read_positions(path: Path) -> dict[str, _Position]:
-    try:
-        return _POSITIONS.validate_json(path.read_bytes())
-    except (FileNotFoundError, ValidationError):
-        return {}
-
-
-def _refused_events(folder: Path) -> list[dict[str, Any]]:
-    try:
-        lines = (folder / _REFUSED).read_text(encoding="utf-8").splitlines(keepends=True)
-    except FileNotFoundError:
-        return []
-    events = []
-    for line in lines:
-        with suppress(ValueError):  # a torn one
-            events.append(json.loads(line))
-    return [one for one in events if isinstance(one, dict)]
-
-
-def _names(targets: Sequence[EventTarget]) -> list[str]:
-    """Return what each target is called; those that differ only in what is not shown are numbered."""
-    shown = [target.shown for target in targets]
-    earlier = [shown[:place].count(name) for place, name in enumerate(shown)]
-    return [f"{name} ({many + 1})" if many else name for name, many in zip(shown, earlier, strict=True)]
-
-
-def _numbers(path: Path) -> tuple[int, int]:
-    """Return the numbers of the oldest and the newest event of a file; 1 and 0 if it has none.
-
-    So it has for a moment while its last lines are replaced.
-    """
-    try:
-        with path.open("rb") as file:
-            oldest = json.loads(file.readline())
-        [newest] = recent_events(path.parent, 1)
-    except (OSError, ValueError):
-        return 1, 0
-    return oldest.get("number", 1), newest.get("number", 0)
+    def _look_again(self) -> None:
+        while not self._stop.wait(_LOOK_SECONDS):
+            with self._lock:
+                if self._mail is not None and self._mail.intake.look():
+                    for carrier in self._carriers.values():
+                        carrier.wake()

@@ -22,10 +22,14 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from orchestrator.counts.count_files import CountFiles
+from orchestrator.counts.tally import CountState, Tally
+from orchestrator.events.clip_names import clip_name
 from orchestrator.events.event import Event, EventKind
 from orchestrator.events.event_state import EventState
 from orchestrator.events.happenings import Happenings
 from orchestrator.events.pictures import picture_name
+from orchestrator.events.situation import situation_after
 from orchestrator.events.zones import EventRules
 from orchestrator.rows.frame_row import FrameRow
 from orchestrator.storage.durable_files import publish, replace_file, temporary_path
@@ -54,6 +58,8 @@ class _Mark:
     state : EventState
     rules : str, optional
         What tells the rules by which they were made from others; an earlier version's have none.
+    counts : CountState
+        What rows and events have come to.
     """
 
     rows: int
@@ -61,6 +67,7 @@ class _Mark:
     began: float | None = None
     state: EventState = field(default_factory=EventState)
     rules: str | None = None
+    counts: CountState = field(default_factory=CountState)
 
 
 _MARK = TypeAdapter(_Mark)
@@ -86,12 +93,16 @@ class EventFile:
         self._marks_path = folder / _MARKS
         found = [mark for mark in _read_marks(self._marks_path) if mark.rows == rows]
         # Without a mark, of an earlier version's record, what is there stays and the objects are born again.
+        self._count_files = CountFiles(folder, stream)
         mark = found[-1] if found else _Mark(rows, _cut(self._path, math.inf if rows else 0))
+        if not found and rows:
+            mark.counts.closed_bytes = self._count_files.length
         _cut(self._path, mark.events)
         self._kept = _MARK.dump_json(mark)
         # Rows that are not committed go through twice: as they come, and with their commit.
         self._newest = _EventLines(stream, rules, mark)
-        self._committed = _EventLines(stream, rules, _MARK.validate_json(self._kept))
+        self._tally = Tally(mark.counts)
+        self._committed = _EventLines(stream, rules, _MARK.validate_json(self._kept), self._tally)
         self._later: deque[_Step] = deque()
         self._unwritten: list[str] = []
         if found and mark.rows and mark.rules != rules.digest:
@@ -136,24 +147,33 @@ class EventFile:
             file.writelines(self._unwritten)
         self._unwritten = []
 
-    def draft(self, rows: int) -> Path:
-        """Sync the events of the first ``rows`` rows; return the file to publish before their commit."""
+    def drafts(self, rows: int) -> list[Path]:
+        """Sync the events of the first ``rows`` rows; return the files to publish before their commit."""
         while self._later and (self._later[0].row is None or self._later[0].row.frame < rows):
             self._committed.after(self._later.popleft())
+        counted = self._count_files.drafts(self._tally)
         mark = self._committed.mark(rows)
         self._sync()
         temporary_path(self._marks_path).write_bytes(b"[" + self._kept + b",\n" + mark + b"]\n")
         self._kept = mark
-        return self._marks_path
+        return [*counted, self._marks_path]
 
     def finish(self, rows: int) -> None:
         """Write what is certain as the stream has come to its end after so many rows."""
+        while self._later:
+            self._committed.after(self._later.popleft())
+        self._committed.at_end()
         self._unwritten += self._newest.at_end()
         self.write()
+        counted = self._count_files.drafts(self._tally, at_once=True)
         self._sync()
-        self._kept = self._newest.mark(rows)
+        self._kept = self._committed.mark(rows)
         temporary_path(self._marks_path).write_bytes(b"[" + self._kept + b"]\n")
-        publish([self._marks_path])
+        publish([*counted, self._marks_path])
+
+    def show_counts(self) -> None:
+        """Write the counts as they were with the last commit."""
+        publish(self._count_files.drafts(self._tally, at_once=True))
 
     def forget_before(self, frame: int) -> None:
         """Delete the oldest lines, as far as they are of frames before a number."""
@@ -197,10 +217,11 @@ class _Step:
 
 
 class _EventLines:
-    """Makes lines of rows, from a mark on."""
+    """Makes lines of rows, from a mark on, and counts them if there is a tally."""
 
-    def __init__(self, stream: str, rules: EventRules, mark: _Mark) -> None:
+    def __init__(self, stream: str, rules: EventRules, mark: _Mark, tally: Tally | None = None) -> None:
         self._stream = stream
+        self._tally = tally
         self._happenings = Happenings(rules, mark.state)
         self.pictured: dict[int, set[str]] = {}  # objects that the newest lines name pictures of, their zones
         self._events, self._began = mark.events, mark.began
@@ -221,6 +242,9 @@ class _EventLines:
             events = self._happenings.silent()
         else:
             events = self._happenings.after(step.row, self.taken_at(step.row.pts))
+            if self._tally is not None:
+                situation = situation_after(step.row, self._happenings)
+                self._tally.add(step.row, self.taken_at(step.row.pts), situation)
         return self._lines(events, step.row)
 
     def at_end(self) -> list[str]:
@@ -228,9 +252,14 @@ class _EventLines:
 
     def mark(self, rows: int) -> bytes:
         state, rules = self._happenings.state, self._happenings.rules
-        return _MARK.dump_json(_Mark(rows, self._events, self._began, state, rules.digest))
+        counts = CountState() if self._tally is None else self._tally.state
+        return _MARK.dump_json(_Mark(rows, self._events, self._began, state, rules.digest, counts))
 
     def _lines(self, events: list[Event], row: FrameRow | None) -> list[str]:
+        if self._tally is not None:
+            share = self._happenings.state.dropped_share
+            for event in events:
+                self._tally.count(event.kind, event.zone, event.direction, share)
         here = set()
         if row is not None and row.result is not None and self._happenings.rules.zones:
             here = {layer.layer for layer in row.result.layers}
@@ -247,8 +276,9 @@ class _EventLines:
         picture = None
         if row is not None and event.kind in _PICTURED and event.layer in self.pictured:
             picture = picture_name(row.frame, event.layer)
+        identity = event_id(self._stream, event)
         return {
-            "id": event_id(self._stream, event),
+            "id": identity,
             "stream": self._stream,
             "kind": event.kind,
             "frame": event.frame,
@@ -258,6 +288,7 @@ class _EventLines:
             "box": None if event.region is None else list(event.region.box),
             "zone": event.zone,
             "direction": event.direction,
+            "dropped_share": round(self.state.dropped_share, 3) if event.kind == "crossed" else None,
             "rule": event.rule,
             "objects": None if event.objects is None else list(event.objects),
             "score": _rounded(event.score),
@@ -266,6 +297,7 @@ class _EventLines:
             "reason": event.reason,
             "replaced_by": event.replaced_by,
             "picture": picture,
+            "clip": clip_name(event.frame, identity) if event.kind in self._happenings.rules.clips else None,
             "number": number,
         }
 

@@ -158,6 +158,8 @@ class EventState:
         Of the record so far.
     newest : float
         Time of the last of these, s.
+    dropped_share : float
+        Share of the last frames that have no label map: a mean with weights that decay over 32 frames.
     rules : dict of str to RuleState
         By the rules' names.
     faults : list of str
@@ -173,5 +175,6 @@ class EventState:
     lost: bool = False
     rows: int = 0
     newest: float = 0.0
+    dropped_share: float = 0.0
     rules: dict[str, RuleState] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)

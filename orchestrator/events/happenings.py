@@ -35,6 +35,9 @@ _MOVING = 0.001
 #: Label maps in a row before a camera moves, and before it is still: somebody who walks with it sways.
 _HOLD_MOVING, _HOLD_STILL = 3, 10
 
+#: Frames over which the share of dropped ones before something is averaged.
+_RECENT_FRAMES = 32
+
 
 class Happenings:
     """The events of one stream.
@@ -66,6 +69,8 @@ class Happenings:
         """
         state = self.state
         state.rows, state.newest = row.frame + 1, row.pts
+        if row.status != "gap":
+            state.dropped_share += ((row.result is None) - state.dropped_share) / _RECENT_FRAMES
         if row.status == "gap" and not state.lost:
             state.lost = True
             return [Event("stream lost", row.frame, row.pts)]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.source import SourceFrame
+from orchestrator.events.clip_names import forget_clips_before
 from orchestrator.events.event_file import EventFile
 from orchestrator.events.outlines import outlines
 from orchestrator.events.pictures import EventPictures, Pictured
@@ -124,21 +125,26 @@ class StreamEvents:
     def drafts(self, rows: int, *, provisional: bool) -> list[Path]:
         """Return the files to publish before so many rows are committed, provisionally or for good."""
         views = [path for frame, path in self._new_views if frame < rows]
-        return views if provisional else [*views, self._file.draft(rows)]
+        return views if provisional else [*views, *self._file.drafts(rows)]
 
     def committed(self, rows: int) -> None:
         """Note that so many rows count now."""
         self._new_views = [(frame, path) for frame, path in self._new_views if frame >= rows]
 
     def forget_before(self, frame: int) -> None:
-        """Delete the oldest lines and pictures, as far as they are of frames before a number."""
+        """Delete the oldest lines, pictures and clips, as far as they are of frames before a number."""
         self._file.forget_before(frame)
+        forget_clips_before(self._folder, frame)
         if self._pictures is not None:
             self._pictures.forget_before(frame)
 
     def finish(self, rows: int) -> None:
         """Write what is certain as the stream has come to its end after so many rows."""
         self._file.finish(rows)
+
+    def show_counts(self) -> None:
+        """Write the counts as they were with the last commit."""
+        self._file.show_counts()
 
     def discard(self) -> None:
         """Delete what was written of rows that are not committed."""

@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.events.event import EventKind
 from orchestrator.events.object_filter import Strict
 from orchestrator.events.polygons import read_polygon
 from orchestrator.events.rules import Rule, check_rules
@@ -114,6 +115,8 @@ class EventRules:
     rules : tuple of Rule
     settings : str
         What tells all else that the record depends on from other settings.
+    clips : frozenset of str
+        Kinds of events that get a clip.
     """
 
     zones: tuple[Zone, ...] = ()
@@ -121,14 +124,14 @@ class EventRules:
     remembered: int = 30
     rules: tuple[Rule, ...] = ()
     settings: str = ""
+    clips: frozenset[EventKind] = frozenset()
 
     @property
     def digest(self) -> str:
-        """Sixteen hexadecimal digits that tell them from others."""
+        """Sixteen hexadecimal digits that tell them from others which say something else to be an event."""
         # Records of before there were these have the digests of what is left without them.
-        text = _RULES.dump_json(
-            self, exclude={key for key in ("rules", "settings") if not getattr(self, key)}
-        )
+        absent = {key for key in ("rules", "settings") if not getattr(self, key)}
+        text = _RULES.dump_json(self, exclude={"clips"} | absent)
         return hashlib.sha256(text).hexdigest()[:16]
 
     @property

@@ -71,14 +71,14 @@ def write_rerun(run: Path, out: Path, *, internals: bool = False) -> list[str]:
 
 def _add_internals(recording: rerun.RecordingStream, run: Path, sources: Mapping[str, str]) -> list[str]:
     asked = description_of(run)
-    config = Config.model_validate(asked["config"])
-    ignored = read_ignored(list(asked.get("ignored") or ()))
+    ignored = read_ignored(list(asked["ignore"] or ()))
     layers: dict[str, tuple[int, ...]] = {}
     remarks: list[str] = []
     for name, source in sources.items():
-        recorded = list(recorded_stream(run / name))
+        recorded, own = list(recorded_stream(run / name)), asked | asked["settings"].get(name, {})
+        config = Config.model_validate(own["config"])
         frames = inspected(
-            recorded, source, config, asked["max_frames"], asked["max_side"], ignored.mask_of(name)
+            recorded, source, config, own["max_frames"], own["max_side"], ignored.mask_of(name)
         )
         shown = track(frames, name, len(recorded), console=Console(stderr=True))
         written = write_internals(recording, name, shown)

@@ -6,25 +6,28 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from orchestrator.counts.stream_counts import CountReader, StreamCounts, recent_hours
 from orchestrator.events.delivery import Backlog
-from orchestrator.events.pictures import PICTURES
 from orchestrator.events.recent import RecentEvents
+from orchestrator.monitor.recorded_files import RecordedFile, recorded_file, still_file
 from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.sinks.live_picture import live_picture_path, watch
+from orchestrator.sinks.still import STILL
 
 __all__ = ["Board"]
 
 #: Points of a stream's history; when there are more, every second one is dropped, so that they span the run.
 _POINTS = 240
 
+#: Newest rows of a stream's counts that are shown: a day of some zones.
+_COUNT_ROWS = 24 * 12
+
 #: Newest events of a stream that are shown.
 _EVENTS = 10
-
-#: Name of a stream's newest frame as it came.
-_STILL = "still.jpg"
 
 
 class Board:
@@ -53,6 +56,7 @@ class Board:
         self._pictures = pictures
         self._folder = folder
         self._events = RecentEvents(_EVENTS)
+        self._counts = CountReader(folder)
         self._clock = clock
         self._started = clock()
         self._lock = threading.Lock()
@@ -84,8 +88,9 @@ class Board:
         dict
             ``seconds`` since the start; ``events``, as in ``status.json``; ``streams``, in the order of the
             list: those of ``status.json`` and ``name``, ``rank`` (display order: :attr:`StreamState.rank`),
-            ``picture`` (changes with the picture, null if there is none), ``layers_over_time`` (pairs of
-            frames read and layers), ``events`` (the newest ones, the last one last).
+            ``picture`` and ``counts`` (change with the picture and the counts, null if there are none),
+            ``layers_over_time`` (pairs of frames read and layers), ``events`` (the newest ones, the last one
+            last).
         """
         with self._lock:
             states, past = self._states, {name: list(points) for name, points in self._past.items()}
@@ -97,6 +102,7 @@ class Board:
                 | {
                     "rank": state.rank,
                     "picture": self.version(state.name),
+                    "counts": self._counts.version(state.name),
                     "events": self._events.of(self._folder / state.name),
                     "layers_over_time": past.get(state.name, []),
                 }
@@ -113,13 +119,24 @@ class Board:
         """Return the newest picture (JPEG) of a stream; None if there is none."""
         return _content(live_picture_path(self._pictures, name))
 
-    def picture_of_event(self, name: str, file: str) -> bytes | None:
-        """Return a picture (JPEG) of a stream's events by its name; None if there is none."""
-        return _content(self._folder / name / PICTURES / file)
+    def recorded(self, path: str) -> RecordedFile | None:
+        """Return the file of a stream's record that the path of a request names; None if it names none."""
+        streams = frozenset(state.name for state in self.states)
+        return recorded_file(self._folder, streams, path) or still_file(self._folder, streams, path)
+
+    def counts(self) -> dict[str, StreamCounts]:
+        """Return what was counted, by stream, of those that have counts."""
+        names = [state.name for state in self.states]
+        return {name: self._counts.of(name) for name in names if self._counts.version(name) is not None}
+
+    def counts_of(self, name: str) -> dict[str, Any]:
+        """Return what the page shows of a stream's counts: the rows of the last hours, and the heat map."""
+        rows = recent_hours(self._folder / name, _COUNT_ROWS)
+        return {"hours": rows, "heat": asdict(self._counts.of(name).heat)}
 
     def still_of(self, name: str) -> Path:
         """Return where the newest frame of a stream is, as it came; it may not be there."""
-        return self._folder / name / _STILL
+        return self._folder / name / STILL
 
     def watch(self, name: str) -> None:
         """Ask for more pictures of a stream for a while."""

@@ -1,21 +1,24 @@
-"""Prometheus metrics of the streams and of the targets of events, and their text for the monitor's page."""
+"""Prometheus metrics of the streams, their counts and the targets of events, and the text of the page."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from orchestrator.counts.stream_counts import StreamCounts
 from orchestrator.events.delivery import Backlog
 from orchestrator.run.stream_state import StreamState
 
 __all__ = [
     "CONTENT_TYPE",
+    "COUNT_METRICS",
     "METRICS",
     "STATE",
     "STATE_MEANING",
     "TARGET_METRICS",
+    "CountMetric",
     "Metric",
     "MetricsText",
     "Reached",
@@ -118,6 +121,58 @@ TARGET_METRICS = (
     TargetMetric("mlbs_events_refused", "Events that a target has refused.", lambda b: b.refused),
 )
 
+
+@dataclass(frozen=True, slots=True)
+class CountMetric:
+    """A metric of what is counted in every stream, as :class:`Metric`.
+
+    Attributes
+    ----------
+    name : str
+    kind : {"counter", "gauge"}
+    meaning : str
+        A sentence.
+    labels : tuple of str
+        Besides ``stream``.
+    values : callable
+        Takes a stream's counts; yields the values of those labels, and a number.
+    """
+
+    name: str
+    kind: Literal["counter", "gauge"]
+    meaning: str
+    labels: tuple[str, ...]
+    values: Callable[[StreamCounts], Iterator[tuple[tuple[str, ...], int]]]
+
+
+COUNT_METRICS = (
+    CountMetric(
+        "mlbs_zone_objects",
+        "gauge",
+        "Objects in a zone, as of the last commit.",
+        ("zone",),
+        lambda counts: (((zone,), number) for zone, number in counts.zones.items()),
+    ),
+    CountMetric(
+        "mlbs_line_crossings_total",
+        "counter",
+        "Crossings of a line.",
+        ("line", "direction"),
+        lambda counts: (
+            ((line, direction), number)
+            for line, directions in counts.crossings.items()
+            for direction, number in directions.items()
+        ),
+    ),
+    CountMetric(
+        "mlbs_events_total",
+        "counter",
+        "Events of the record.",
+        ("kind",),
+        lambda counts: (((kind,), number) for kind, number in counts.events.items()),
+    ),
+)
+
 #: Gauge that is 1 for a stream's current state, which is in its label ``state``.
 STATE = "mlbs_stream_state"
 STATE_MEANING = "1 for the state of the stream."
@@ -148,8 +203,13 @@ class MetricsText:
         self._lock = threading.Lock()
         self._reached = Reached()
 
-    def __call__(self, states: Sequence[StreamState], backlogs: Sequence[Backlog] = ()) -> str:
-        """Return the text of these states and backlogs."""
+    def __call__(
+        self,
+        states: Sequence[StreamState],
+        backlogs: Sequence[Backlog] = (),
+        counts: Mapping[str, StreamCounts] | None = None,
+    ) -> str:
+        """Return the text of these states, backlogs, and counts by stream."""
         lines = []
         for one in METRICS:
             lines += [f"# HELP {one.name} {one.meaning}", f"# TYPE {one.name} {one.kind}"]
@@ -165,6 +225,12 @@ class MetricsText:
                 f'{gauge.name}{{target="{_escaped(one.target)}"}} {float(gauge.value(one))!r}'
                 for one in backlogs
             ]
+        for of_counts in COUNT_METRICS if counts else ():
+            lines += [
+                f"# HELP {of_counts.name} {of_counts.meaning}",
+                f"# TYPE {of_counts.name} {of_counts.kind}",
+                *_samples(of_counts, counts or {}),
+            ]
         return "\n".join(lines) + "\n"
 
     def _value(self, one: Metric, state: StreamState) -> float:
@@ -172,6 +238,14 @@ class MetricsText:
             return float(one.value(state))
         with self._lock:
             return float(self._reached.advance(one, state)[1])
+
+
+def _samples(one: CountMetric, counts: Mapping[str, StreamCounts]) -> Iterator[str]:
+    for stream, counted in counts.items():
+        for values, number in one.values(counted):
+            pairs = zip(("stream", *one.labels), (stream, *values), strict=True)
+            labels = ",".join(f'{name}="{_escaped(value)}"' for name, value in pairs)
+            yield f"{one.name}{{{labels}}} {number}"
 
 
 def _escaped(text: str) -> str:

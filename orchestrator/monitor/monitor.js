@@ -9,6 +9,7 @@ const pause = document.getElementById("pause");
 const list = document.getElementById("streams");
 const cards = []; // in the order of the list of streams
 const large = document.querySelector("dialog");
+const [largeImage, film, noClip] = ["img", "video", "p"].map((name) => large.querySelector(name));
 let enlarged = null; // the picture that is shown large
 // Only what can be seen is loaded, however many streams there are.
 const inSight = new IntersectionObserver((entries) => {
@@ -66,10 +67,21 @@ function load(image) {
   if (image === enlarged) showLarge(image.src, image.alt);
 }
 
+function reveal(part) {
+  for (const one of [largeImage, film, noClip]) one.hidden = one !== part;
+}
+
 function showLarge(source, words) {
-  const image = large.querySelector("img");
-  if (image.getAttribute("src") !== source) image.src = source;
-  image.alt = words;
+  if (largeImage.getAttribute("src") !== source) largeImage.src = source;
+  largeImage.alt = words;
+  reveal(largeImage);
+}
+
+function play(source) {
+  enlarged = null;
+  film.src = source;
+  reveal(film);
+  large.showModal();
 }
 
 function enlarge(image) {
@@ -96,19 +108,124 @@ function listEvents(box, stream) {
   box.querySelector("ol").replaceChildren(...stream.events.slice().reverse().map((event) => {
     const line = document.createElement("li");
     write(line, describe(event));
+    const record = `records/${encodeURIComponent(stream.name)}`;
     if (event.picture) {
       const picture = document.createElement("button");
-      write(picture, "picture");
+      const image = document.createElement("img");
+      image.loading = "lazy";
+      image.src = `${record}/${event.picture}`;
+      image.alt = "picture";
       picture.type = "button";
+      picture.className = "of-event";
       picture.addEventListener("click", () => {
         enlarged = null;
-        showLarge(`streams/${encodeURIComponent(stream.name)}/${event.picture}`, describe(event));
+        showLarge(image.src, describe(event));
         large.showModal();
       });
-      line.append(" ", picture);
+      picture.append(image);
+      line.prepend(picture, " ");
+    }
+    if (event.clip) {
+      const clip = document.createElement("a");
+      write(clip, "clip");
+      clip.href = `${record}/${event.clip}`;
+      clip.addEventListener("click", (click) => {
+        click.preventDefault();
+        play(clip.href);
+      });
+      line.append(" ", clip);
     }
     return line;
   }));
+}
+
+function hourOf(row) {
+  return row.begins ? Date.parse(row.begins) / 3600000 : Number(row.hour);
+}
+
+function nameOfHour(row) {
+  return row.begins ? new Date(row.begins).toLocaleString([], { dateStyle: "short", timeStyle: "short" }) : `hour ${row.hour}`;
+}
+
+// What is drawn of a place: the name, the column, and the class of its bars.
+const BARS = {
+  picture: [["born", "born", "one"]],
+  zone: [["entered", "entered", "one"]],
+  line: [["to the left", "crossed_left", "one"], ["to the right", "crossed_right", "two"]],
+};
+
+// A day of bars, the newest hour at the right, one number upon the other.
+function drawBars(rows) {
+  const [{ place, kind }] = rows, last = hourOf(rows[rows.length - 1]);
+  const shown = rows.filter((row) => hourOf(row) > last - 24);
+  const sum = (row) => BARS[kind].reduce((all, [, column]) => all + Number(row[column]), 0);
+  const most = Math.max(1, ...shown.map(sum));
+  const figure = document.createElement("figure");
+  const drawing = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  for (const [name, value] of [["viewBox", "0 0 240 40"], ["preserveAspectRatio", "none"], ["role", "img"]]) {
+    drawing.setAttribute(name, value);
+  }
+  const words = BARS[kind].map(([name, column]) =>
+    `${name} ${shown.reduce((all, row) => all + Number(row[column]), 0)}`).join(", ");
+  drawing.setAttribute("aria-label", `${place || "whole picture"}: ${words}; at most ${most} an hour`);
+  for (const row of shown) {
+    let foot = 40;
+    for (const [name, column, style] of BARS[kind]) {
+      const bar = document.createElementNS("http://www.w3.org/2000/svg", "rect");
+      const height = 38 * Number(row[column]) / most;
+      foot -= height;
+      const box = { x: 10 * (23 - last + hourOf(row)) + 1, y: foot, width: 8, height, class: style };
+      for (const [key, value] of Object.entries(box)) bar.setAttribute(key, value);
+      const title = document.createElementNS("http://www.w3.org/2000/svg", "title");
+      write(title, `${nameOfHour(row)}: ${row[column]} ${name}`);
+      bar.append(title);
+      drawing.append(bar);
+    }
+  }
+  const caption = document.createElement("figcaption");
+  caption.append(`${place || "whole picture"}: `);
+  BARS[kind].forEach(([name, column, style], number) => {
+    const words = document.createElement("span");
+    words.className = style;
+    write(words, `${name} ${shown.reduce((all, row) => all + Number(row[column]), 0)}`);
+    caption.append(number ? ", " : "", words);
+  });
+  const dropped = Number(rows[rows.length - 1].dropped_share);
+  if (dropped > 0.01) caption.append(`; ${Math.round(100 * dropped)} % of frames dropped`);
+  figure.append(drawing, caption);
+  return figure;
+}
+
+function drawHeat(canvas, heat, image) {
+  const pen = canvas.getContext("2d");
+  pen.clearRect(0, 0, canvas.width, canvas.height);
+  if (image.naturalWidth) {
+    canvas.height = Math.round(canvas.width * image.naturalHeight / image.naturalWidth);
+    pen.globalAlpha = 0.5;
+    pen.drawImage(image, 0, 0, canvas.width, canvas.height);
+  }
+  const most = Math.log1p(Math.max(0, ...heat.label_maps));
+  const [width, height] = [canvas.width / heat.columns, canvas.height / heat.rows];
+  heat.label_maps.forEach((number, cell) => {
+    if (!number) return;
+    const share = Math.log1p(number) / most; // a few seconds should be seen beside an hour
+    pen.globalAlpha = 0.25 + 0.6 * share;
+    pen.fillStyle = `hsl(${Math.round(55 - 55 * share)} 95% 50%)`;
+    pen.fillRect(cell % heat.columns * width, Math.floor(cell / heat.columns) * height, width + 0.5, height + 0.5);
+  });
+  canvas.setAttribute("aria-label", `Cells in which objects stood: ${heat.label_maps.filter(Boolean).length} of ${heat.label_maps.length}`);
+}
+
+async function showCounts(box, stream, image) {
+  box.hidden = !stream.counts;
+  if (!box.open || box.dataset.newest === stream.counts) return;
+  box.dataset.newest = stream.counts;
+  const counts = await (await fetch(`streams/${encodeURIComponent(stream.name)}/counts.json`)).json();
+  const places = new Map();
+  for (const row of counts.hours) places.set(row.place, [...(places.get(row.place) || []), row]);
+  box.querySelector(".places").replaceChildren(...[...places.values()].map(drawBars));
+  if (image.src) await image.decode().catch(() => {}); // without it the map is drawn alone
+  drawHeat(box.querySelector("canvas"), counts.heat, image);
 }
 
 function show(stream, number) {
@@ -134,6 +251,7 @@ function show(stream, number) {
   drawLayers(element.querySelector("figure"), stream.layers_over_time);
   element.querySelector(".zones").href = `zones/${encodeURIComponent(stream.name)}`;
   listEvents(element.querySelector(".events"), stream);
+  showCounts(element.querySelector(".counts"), stream, image).catch(() => {}); // the run has ended
 }
 
 function describeBacklog(target) {
@@ -183,6 +301,13 @@ pause.addEventListener("click", () => {
   const paused = pause.getAttribute("aria-pressed") === "false";
   pause.setAttribute("aria-pressed", String(paused));
 });
-large.addEventListener("close", () => { enlarged = null; });
-large.addEventListener("click", (click) => { if (click.target !== large.querySelector("button")) large.close(); });
+film.addEventListener("error", () => reveal(noClip));
+large.addEventListener("close", () => {
+  enlarged = null;
+  film.removeAttribute("src");
+  film.load(); // so that nothing more of it is fetched
+});
+large.addEventListener("click", (click) => {
+  if (click.target !== film && click.target !== large.querySelector("button")) large.close();
+});
 refresh();

@@ -8,13 +8,22 @@ from collections.abc import Callable, Sequence
 
 from ray.util.metrics import Counter, Gauge
 
+from orchestrator.counts.stream_counts import StreamCounts
 from orchestrator.events.delivery import Backlog
-from orchestrator.monitor.metrics import METRICS, STATE, STATE_MEANING, TARGET_METRICS, Reached
+from orchestrator.monitor.metrics import (
+    COUNT_METRICS,
+    METRICS,
+    STATE,
+    STATE_MEANING,
+    TARGET_METRICS,
+    CountMetric,
+    Reached,
+)
 from orchestrator.run.stream_state import StreamState
 
 __all__ = ["RayMetrics"]
 
-#: Least time between two looks at what waits for the targets of events, s.
+#: Least time between two looks at what is counted, and at what waits for the targets of events, s.
 _LOOK_SECONDS = 1.0
 
 #: Replaces 0, which Ray drops: a counter must exist before it counts. It does not affect sums.
@@ -30,12 +39,23 @@ class RayMetrics:
         Returns what the targets of events have not acknowledged.
     clock : callable
         Monotonic time, s.
+    counts : callable, optional
+        Takes the name of a stream; returns what was counted in it.
     """
 
     def __init__(
-        self, backlogs: Callable[[], Sequence[Backlog]] = list, clock: Callable[[], float] = time.monotonic
+        self,
+        backlogs: Callable[[], Sequence[Backlog]] = list,
+        clock: Callable[[], float] = time.monotonic,
+        counts: Callable[[str], StreamCounts] | None = None,
     ) -> None:
         self._backlogs = backlogs
+        self._counts = counts
+        self._of_counts: dict[CountMetric, Counter | Gauge] = {
+            one: (Counter if one.kind == "counter" else Gauge)(one.name, one.meaning, ("stream", *one.labels))
+            for one in COUNT_METRICS
+        }
+        self._counted: dict[CountMetric, dict[tuple[str, ...], int]] = {one: {} for one in COUNT_METRICS}
         self._clock = clock
         self._looked = float("-inf")
         self._of_targets = {one: Gauge(one.name, one.meaning, ("target",)) for one in TARGET_METRICS}
@@ -61,6 +81,31 @@ class RayMetrics:
         if (now := self._clock()) - self._looked >= _LOOK_SECONDS:
             self._looked = now
             self._report_backlogs()
+            self._report_counts([state.name for state in states])
+
+    def _report_counts(self, streams: Sequence[str]) -> None:
+        if self._counts is None:
+            return
+        counts = {name: self._counts(name) for name in streams}
+        for one, metric in self._of_counts.items():
+            now = {
+                (stream, *values): number
+                for stream, counted in counts.items()
+                for values, number in one.values(counted)
+            }
+            before, self._counted[one] = self._counted[one], now
+            names = ("stream", *one.labels)
+            for place, number in now.items():
+                labels = dict(zip(names, place, strict=True))
+                if isinstance(metric, Gauge):
+                    metric.set(number, labels)
+                elif place not in before:
+                    metric.inc(number or _NOTHING, labels)
+                elif number > before[place]:
+                    metric.inc(number - before[place], labels)
+            if isinstance(metric, Gauge):
+                for place in before.keys() - now.keys():  # Ray would keep exporting the last value
+                    metric.set(0, dict(zip(names, place, strict=True)))
 
     def _report_backlogs(self) -> None:
         for backlog in self._backlogs():

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hmac
 import json
 import os
-import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,12 +17,13 @@ from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from urllib.parse import parse_qs, quote, unquote, urlsplit
+from urllib.parse import parse_qs, unquote, urlsplit
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.metrics import CONTENT_TYPE, MetricsText
+from orchestrator.monitor.recorded_files import RecordedFile, asked_range
 from orchestrator.monitor.restream import BOUNDARY, motion_jpeg
 from orchestrator.monitor.zones_page import MOST_BYTES, ZONES_FILES, ZonesPage
 from orchestrator.run.edit_zones import ZoneEditor, ZoneFiles
@@ -33,7 +33,8 @@ __all__ = ["serving"]
 _LEAST_TOKEN = 16  # characters
 _COOKIE = "mlbs-monitor"
 _MOTION_JPEG = ".mjpg"
-_EVENT_PICTURE = re.compile(r"\d{8,}-\d+\.jpg", re.ASCII)
+_COUNTS = "/counts.json"
+_CHUNK = 1 << 16  # bytes
 _FOLDER = Path(__file__).parent
 _FILES = {
     "/": ("page.html", "text/html; charset=utf-8"),
@@ -50,7 +51,8 @@ _HEALTH: dict[str, Callable[[Board], bool]] = {
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
-    "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "img-src 'self' data:; media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
@@ -141,12 +143,21 @@ class _Handler(BaseHTTPRequestHandler):
         elif url.path == "/status.json":
             self._answer(HTTPStatus.OK, json.dumps(self.server.board.status()).encode(), "application/json")
         elif url.path == "/metrics":
-            text = self.server.metrics_text(self.server.board.states, self.server.board.backlogs())
+            board = self.server.board
+            text = self.server.metrics_text(board.states, board.backlogs(), board.counts())
             self._answer(HTTPStatus.OK, text.encode(), CONTENT_TYPE)
         elif url.path.endswith(_MOTION_JPEG) and (stream := self._stream(url.path)) is not None:
             self._send_on(stream)
         elif (zones := self.server.zones.get(url.path)) is not None:
             self._answer(zones.status, zones.content, zones.kind)
+        elif (
+            url.path.endswith(_COUNTS)
+            and (stream := self._stream(url.path.removesuffix(_COUNTS))) is not None
+        ):
+            counts = self.server.board.counts_of(stream)
+            self._answer(HTTPStatus.OK, json.dumps(counts).encode(), "application/json")
+        elif (recorded := self.server.board.recorded(url.path)) is not None:
+            self._send_file(recorded)
         elif (picture := self._picture(url.path)) is not None:
             self._answer(HTTPStatus.OK, picture, "image/jpeg")
         else:
@@ -207,10 +218,36 @@ class _Handler(BaseHTTPRequestHandler):
             pass  # the viewer is gone, or takes nothing
         self.close_connection = True
 
+    def _send_file(self, recorded: RecordedFile) -> None:
+        """Send a file of a record, or the part of it that a player asks for."""
+        try:
+            file = recorded.path.open("rb")
+        except OSError:
+            self._refuse(HTTPStatus.NOT_FOUND, "It is not there, or not yet.")
+            return
+        with file:
+            size = os.fstat(file.fileno()).st_size
+            asked = asked_range(self.headers.get("Range"), size)
+            if asked is not None and not asked:
+                headers = {"Content-Range": f"bytes */{size}"}
+                self._answer(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, b"", "text/plain", headers)
+                return
+            part = range(size) if asked is None else asked
+            self.send_response(HTTPStatus.OK if asked is None else HTTPStatus.PARTIAL_CONTENT)
+            own = {"Content-Type": recorded.kind, "Content-Length": str(len(part)), "Accept-Ranges": "bytes"}
+            if asked is not None:
+                own["Content-Range"] = f"bytes {part.start}-{part.stop - 1}/{size}"
+            for name, value in (_HEADERS | own).items():
+                self.send_header(name, value)
+            self.end_headers()
+            file.seek(part.start)
+            try:
+                for left in range(len(part), 0, -_CHUNK):
+                    self.wfile.write(file.read(min(_CHUNK, left)))
+            except OSError:
+                self.close_connection = True  # the client is gone, or takes nothing
+
     def _picture(self, path: str) -> bytes | None:
-        name, _, file = unquote(path).removeprefix("/streams/").rpartition("/events/")
-        if self._stream(f"/streams/{quote(name)}") is not None and _EVENT_PICTURE.fullmatch(file):
-            return self.server.board.picture_of_event(name, file)
         number = path.removeprefix("/pictures/").removesuffix(".jpg")
         if path != f"/pictures/{number}.jpg" or not (number.isascii() and number.isdecimal()):
             return None

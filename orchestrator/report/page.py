@@ -13,9 +13,12 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.wording import count_of
+from orchestrator.counts.count_files import COUNTS_CSV
+from orchestrator.counts.stream_counts import CountReader, Heat, recent_hours
 from orchestrator.events.event_file import EVENTS
 from orchestrator.events.recent import recent_events
 from orchestrator.report import charts
+from orchestrator.report.count_charts import heat_chart, place_charts
 from orchestrator.report.history import LONG_SECONDS, MOST_FRAMES, StreamHistory, frame_ranges, read_history
 from orchestrator.report.pictures import StripPicture, overlay_strip
 from orchestrator.sinks.object_files import OBJECTS_CSV
@@ -39,6 +42,9 @@ _UNFOLDED = 4
 _RANGES = 20  # of lost frames
 _OVERLAYS = 24  # newest videos with a link each
 
+#: Newest rows of a stream's counts that are drawn: a day of some zones.
+_COUNT_ROWS = 24 * 12
+
 #: Most events with a row of their own; of more, the newest.
 _EVENTS = 50
 
@@ -60,6 +66,8 @@ class _Stream:
     lost: list[str]
     left_out: list[str]
     events: list[dict[str, Any]]
+    hours: list[dict[str, str]]
+    heat: Heat
 
 
 def render_report(folder: Path) -> str:
@@ -101,6 +109,9 @@ def render_report(folder: Path) -> str:
         "long_time": f"{LONG_SECONDS:g} s or longer",
         "objects_csv": OBJECTS_CSV,
         "events_jsonl": EVENTS,
+        "counts_csv": COUNTS_CSV,
+        "place_charts": place_charts,
+        "heat_chart": heat_chart,
         "most_events": _EVENTS,
     }
     return environment.get_template("report.html").render(
@@ -147,6 +158,8 @@ def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) ->
         lost=lost,
         left_out=_left_out(folder),
         events=recent_events(folder, _EVENTS),
+        hours=recent_hours(folder, _COUNT_ROWS),
+        heat=CountReader(folder.parent).of(folder.name).heat,
     )
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from mlbs_actors.errors import ConfigError, SourceError
 from orchestrator.credentials import mask
 from orchestrator.program import command_line_of
-from orchestrator.run.listed_stream import MAX_NAME_BYTES, RESERVED_NAMES, ListedStream
+from orchestrator.run.listed_stream import MAX_NAME_BYTES, RESERVED_NAMES, UNSAFE_CHARACTERS, ListedStream
 from orchestrator.run.stream_list import MAX_STREAMS
 from orchestrator.sources.address import SourceAddress, parse_address
 from orchestrator.sources.presence import is_image, is_source, parts_of
@@ -136,11 +136,12 @@ def _refuse_single_images(words: Sequence[str]) -> None:
 
 def _allowed(name: str) -> str:
     """Make a name that a list of streams would accept too."""
+    unsafe = UNSAFE_CHARACTERS | set("/\\")
     kept = "".join(
-        "-" if character in "/\\" or unicodedata.category(character) in ("Cc", "Cs") else character
+        "-" if character in unsafe or unicodedata.category(character) in ("Cc", "Cs") else character
         for character in name.replace("***", "-")
     ).strip()
-    kept = kept.lstrip(".-") or "stream"
+    kept = kept.lstrip(".-").rstrip(". ") or "stream"
     room = MAX_NAME_BYTES - len(f"-{MAX_STREAMS}")
     return kept.encode()[:room].decode(errors="ignore") if len(kept.encode()) > MAX_NAME_BYTES else kept
 

@@ -1,6 +1,7 @@
 """The file of cameras: streams with what each is asked for, in YAML.
 
     defaults: {max_side: 960, keep: 7d}
+    events: [{url: mqtt://broker/cameras}]
     streams:
       gate:
         source: rtsp://user:password@host/stream
@@ -23,6 +24,7 @@ from pydantic import ValidationError
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, SourceError
 from orchestrator.credentials import mask
+from orchestrator.events.targets import EventTarget, TargetEntry, targets_of
 from orchestrator.events.zones import EventSettings
 from orchestrator.options import Form, options
 from orchestrator.run.listed_stream import ListedStream, OwnSettings, StreamsFile, check_name
@@ -60,6 +62,7 @@ class _Parser:
     file: YamlFile
     before: StreamsFile | None
     faults: dict[int, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)  # by what a disk may take for the same one
 
     def parsed(self) -> StreamsFile:
         content = self.file.content
@@ -69,15 +72,30 @@ class _Parser:
                 f"--streams: {self.path} names no stream; write one as\n"
                 "streams:\n  gate:\n    source: rtsp://user:password@host/stream"
             )
-        for key in content.keys() - {"defaults", "streams"}:
-            self._fault([key], f"there is no key {key!r}; known are defaults and streams")
+        for key in content.keys() - {"defaults", "events", "streams"}:
+            self._fault([key], f"there is no key {key!r}; known are defaults, events and streams")
         earlier = {} if self.before is None else {one.name: one for one in self.before.streams}
         defaults = content.get("defaults") or {}
         if self._settings(["defaults"], defaults, OwnSettings()) is None:
             defaults = {}
         parsed = [self._stream(str(name), entry, defaults, earlier) for name, entry in streams.items()]
         usable = tuple(stream for stream in parsed if stream is not None)
-        return StreamsFile(usable, self.faults, self.file.text)
+        targets = self._targets(content.get("events", []))
+        return StreamsFile(usable, self.faults, self.file.text, targets)
+
+    def _targets(self, entries: object) -> tuple[EventTarget, ...] | None:
+        """Read where events are sent; those of before if that cannot be used."""
+        if isinstance(entries, list):
+            try:
+                return targets_of([TargetEntry.model_validate(entry) for entry in entries])
+            except ValidationError as invalid:
+                faults = faults_of(self.file.tree, invalid, ["events"])
+                self.faults |= {line: mask(words) for line, words in faults.items()}
+            except ConfigError as error:
+                self._fault(["events"], str(error))
+        else:
+            self._fault(["events"], "events is no list; write each target as - url: mqtt://HOST/TOPIC")
+        return None if self.before is None else self.before.targets
 
     def _fault(self, place: Sequence[str], words: str) -> None:
         self.faults[line_of(self.file.tree, place)] = mask(words).rstrip(".")
@@ -92,6 +110,8 @@ class _Parser:
         place, before = ["streams", name], earlier.get(name)
         try:
             check_name(name, given=True)
+            if (same := self.names.setdefault(name.lower(), name)) != name:
+                raise ConfigError(f"some disks take {name!r} for {same!r}; choose another name")
         except ConfigError as error:
             self._fault(place, str(error))
             return None

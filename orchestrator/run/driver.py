@@ -61,6 +61,8 @@ class SpecChange:
         Names of those to end.
     renamed : mapping of str to (str, callable)
         New ones that may be added only when another one has ended, which is told by the call.
+    reopened : tuple of StreamSpec
+        Cameras that are read from another place.
     restarted : tuple of (StreamSpec, bool)
         Those to go on with other processes, as they are now, and whether their sources are the same.
     configured : tuple of (StreamSpec, object)
@@ -70,6 +72,7 @@ class SpecChange:
     added: tuple[StreamSpec, ...] = ()
     removed: tuple[str, ...] = ()
     renamed: Mapping[str, tuple[str, Callable[[], None]]] = field(default_factory=dict)
+    reopened: tuple[StreamSpec, ...] = ()
     restarted: tuple[tuple[StreamSpec, bool], ...] = ()
     configured: tuple[tuple[StreamSpec, object], ...] = ()
 
@@ -174,6 +177,12 @@ class Driver:
                 self._states[name] = after_removal(self._states[name], None)
         self._coming |= {spec.name: spec for spec in change.added}
         self._renamed |= change.renamed
+        for spec in change.reopened:
+            if spec.name in self._streams and spec.name not in self._restarting:
+                self._specs[spec.name] = spec
+                self._streams[spec.name].reopen(spec.open_reader)
+            else:
+                self._restart(spec, same_source=False)
         for spec, same_source in change.restarted:
             self._restart(spec, same_source=same_source)
         for spec, settings in change.configured:

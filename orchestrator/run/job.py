@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -12,15 +13,19 @@ from mlbs_actors.actors.stream.protocol import StreamSink, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.source import FrameReader
+from orchestrator.clips.packet_ring import PACKETS, PacketRing
 from orchestrator.command_line import command_again
 from orchestrator.credentials import mask
+from orchestrator.events.delivery import Deliveries
+from orchestrator.events.home_assistant import Camera
+from orchestrator.events.targets import EventTarget, all_targets
 from orchestrator.events.zones import read_zones
 from orchestrator.options import Arguments, Effect, recorded
 from orchestrator.run.driver import SpecChange
 from orchestrator.run.edited_files import keep_version
 from orchestrator.run.file_watch import FileWatch
 from orchestrator.run.list_watch import ListChange, ListWatch
-from orchestrator.run.listed_stream import ListedStream, OwnSettings
+from orchestrator.run.listed_stream import ListedStream, OwnSettings, StreamsFile
 from orchestrator.run.resumption import with_new_names
 from orchestrator.run.retention_limits import Keep
 from orchestrator.run.run_folder import RunFolder, describe_run
@@ -34,6 +39,9 @@ from orchestrator.working_size import FullSizeRecord, ShrinkingReader
 
 __all__ = ["Job"]
 
+#: Options on which the reader of a stream depends.
+_OF_READER = {"max_side", "give_up_after"}
+
 #: A stream of which no file says anything.
 _NOBODY = ListedStream("", parse_address("synthetic:demo", Path("/")), None)
 
@@ -43,7 +51,8 @@ class Job:
 
     Parameters
     ----------
-    streams : sequence of ListedStream
+    listed : StreamsFile
+        What the list says, with the streams of the arguments.
     arguments : Arguments
     config : Config
     folder : RunFolder
@@ -51,6 +60,8 @@ class Job:
         Folder of the monitor's pictures.
     say : callable
         Receives messages for the user.
+    deliveries : Deliveries
+        Of events.
     begun : mapping, optional
         The content of ``run.json`` that an earlier start has left.
 
@@ -62,15 +73,18 @@ class Job:
 
     def __init__(
         self,
-        streams: Sequence[ListedStream],
+        listed: StreamsFile,
         arguments: Arguments,
         config: Config,
         folder: RunFolder,
         live: Path | None,
         say: Callable[[str], None],
+        deliveries: Deliveries,
         begun: Mapping[str, Any] | None = None,
     ) -> None:
+        streams = listed.streams
         self._streams = {stream.name: stream for stream in streams}
+        self._deliveries = deliveries
         self._arguments = arguments
         self._config = config
         self._folder = folder
@@ -82,9 +96,9 @@ class Job:
         self.description = self._described(begun)
         self._watch = None
         if arguments.watch and arguments.streams is not None:
-            listed = [stream for stream in streams if stream.line is not None]
+            own = replace(listed, streams=tuple(one for one in streams if one.line is not None))
             self._watch = ListWatch(
-                arguments.streams, listed, self._recorded_source, lambda text: say(mask(text))
+                arguments.streams, own, self._recorded_source, lambda text: say(mask(text))
             )
         zones = arguments.zones.path
         self._zones_are_faulty = arguments.zones.fault is not None
@@ -103,6 +117,15 @@ class Job:
         """Return what a stream is asked for."""
         return self._settings[name]
 
+    def cameras(self) -> list[Camera]:
+        """Return what Home Assistant is told of the streams."""
+        return [Camera.of(name, asked.rules) for name, asked in list(self._settings.items())]
+
+    def video(self, name: str) -> Path | None:
+        """Return the file that a stream reads; None of a camera."""
+        stream = self._streams.get(name)
+        return None if stream is None or stream.source.live else stream.source.path
+
     def keeps(self) -> dict[str | None, Keep]:
         """Return how much is kept of each camera that has a limit of its own, and for None of all others."""
         kept: dict[str | None, Keep] = {}
@@ -119,36 +142,52 @@ class Job:
         if change is None and not self._has_other_zones():
             return None
         change = change or ListChange((), (), ())
-        before, sources = self._settings, {name: one.source for name, one in self._streams.items()}
+        before = dict(self._streams), self._settings
         self._streams |= {stream.name: stream for stream in (*change.added, *change.changed)}
         self._gone = (self._gone | set(change.removed)) - {stream.name for stream in change.added}
         self._settings = self._asked()
-        added = {stream.name for stream in change.added}
-        restarted, configured = [], []
-        for name, now in self._settings.items():
-            if name in self._gone or name in added or name not in before:
-                continue
-            same_source = sources[name] == self._streams[name].source
-            effects = self._told_changes(name, before[name], now, same_source=same_source)
-            spec = self._spec(self._streams[name])
-            if not same_source or effects & {Effect.RESTART, Effect.EPOCH}:
-                same_reader = same_source and Effect.EPOCH not in effects
-                restarted.append((spec, same_reader))
-            elif effects:
-                configured.append((spec, now.rules))
+        known = before[0].keys() - self._gone - {stream.name for stream in change.added}
+        changed = self._changed(*before, [name for name in self._streams if name in known])
         self.keep_description(change.text)
-        return SpecChange(
-            tuple(map(self._spec, change.added)),
-            change.removed,
-            {one.name: (one.was, partial(self._rename, one)) for one in change.added if one.was is not None},
-            tuple(restarted),
-            tuple(configured),
+        if change.targets is not None:
+            self._retarget(change.targets)
+        return replace(
+            changed,
+            added=tuple(map(self._spec, change.added)),
+            removed=change.removed,
+            renamed={
+                one.name: (one.was, partial(self._rename, one)) for one in change.added if one.was is not None
+            },
         )
+
+    def _changed(
+        self,
+        streams: Mapping[str, ListedStream],
+        settings: Mapping[str, StreamSettings],
+        names: Sequence[str],
+    ) -> SpecChange:
+        """Return what is to become of streams that are other than they were, by these names."""
+        reopened: list[StreamSpec] = []
+        restarted: list[tuple[StreamSpec, bool]] = []
+        configured: list[tuple[StreamSpec, object]] = []
+        for name in names:
+            now, same_source = self._settings[name], streams[name].source == self._streams[name].source
+            effects = self._told_changes(name, settings[name], now, same_source=same_source)
+            spec = self._spec(self._streams[name])
+            is_other_file = not same_source and not spec.live
+            if is_other_file or {Effect.RESTART, Effect.EPOCH}.intersection(effects.values()):
+                restarted.append((spec, same_source and not effects.keys() & _OF_READER))
+                continue
+            if not same_source:
+                reopened.append(spec)
+            if "rules" in effects:
+                configured.append((spec, now.rules))
+        return SpecChange(reopened=tuple(reopened), restarted=tuple(restarted), configured=tuple(configured))
 
     def _told_changes(
         self, name: str, before: StreamSettings, now: StreamSettings, *, same_source: bool
-    ) -> set[Effect]:
-        """Say what is other for a stream from now on; return when that takes effect."""
+    ) -> dict[str, Effect]:
+        """Say what is other for a stream from now on; return these options, with when they take effect."""
         was, is_now = before.described(), now.described()
         effects = changes_between(was, is_now)
         words = [] if same_source else [f"it is at {self._streams[name].source} now"]
@@ -160,17 +199,28 @@ class Job:
         if words:
             epoch = "; a new epoch begins" if Effect.EPOCH in effects.values() else ""
             self._say(f"From now on for {name}: {', '.join(words)}{epoch}.")
-        return set(effects.values())
+        return effects
+
+    def _retarget(self, targets: Sequence[EventTarget]) -> None:
+        """Send events to the targets of the command and these."""
+        try:
+            self._deliveries.retarget(all_targets(self._arguments.events, targets))
+        except (ConfigError, sqlite3.Error) as error:
+            self._say(f"Events go where they went before: {error}")
+        else:
+            self._say(f"From now on events go to {', '.join(one.shown for one in targets) or 'nobody'}.")
 
     def _rename(self, stream: ListedStream) -> None:
         """Take up a stream that had another name; what was recorded of it is not written to any more."""
         try:
-            self.description = with_new_names(self._folder, self.description, [stream], self._say)
+            self.description = with_new_names(
+                self._folder, self.description, [stream], self._say, self._deliveries.rename
+            )
             for known in (self._streams, self._settings):
                 known.pop(stream.was or "", None)
             self._folder.redescribe(self.description)
-        except OSError as error:
-            self._say(f"{stream.was} cannot get the name {stream.name}: {error.strerror}.")
+        except (OSError, sqlite3.Error) as error:
+            self._say(f"{stream.was} cannot get the name {stream.name}: {error}.")
 
     def _has_other_zones(self) -> bool:
         """Read the file of zones again if it has changed; return whether it says something else."""
@@ -239,7 +289,10 @@ class Job:
 
     def _spec(self, stream: ListedStream) -> StreamSpec:
         asked = self._settings[stream.name]
-        reader: Callable[[], FrameReader] = partial(open_reader, stream.source, asked.give_up_after)
+        clips, packets = self._arguments.clips, None
+        if clips is not None and stream.source.live:
+            packets = PacketRing(self._folder.stream(stream.name) / PACKETS, clips.ring_seconds)
+        reader: Callable[[], FrameReader] = partial(open_reader, stream.source, asked.give_up_after, packets)
         record = StreamRecord
         if asked.max_side is not None:
             reader, record = partial(ShrinkingReader, reader, asked.max_side), FullSizeRecord

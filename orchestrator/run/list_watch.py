@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, SourceError
+from orchestrator.events.targets import EventTarget
 from orchestrator.run.file_watch import FileWatch
 from orchestrator.run.identity import other_source
 from orchestrator.run.listed_stream import ListedStream, StreamsFile
@@ -31,12 +32,15 @@ class ListChange:
         Names with another source, or with other settings.
     text : str, optional
         The new version of a file of cameras.
+    targets : tuple of EventTarget, optional
+        Where it has events sent, if that is other than before.
     """
 
     added: tuple[ListedStream, ...]
     removed: tuple[str, ...]
     changed: tuple[ListedStream, ...]
     text: str | None = None
+    targets: tuple[EventTarget, ...] | None = None
 
 
 class ListWatch:
@@ -48,7 +52,7 @@ class ListWatch:
     Parameters
     ----------
     path : Path
-    streams : sequence of ListedStream
+    begun : StreamsFile
         What the run began with.
     recorded : callable
         Returns for a name the source, without credentials, of which the run has results; None without any.
@@ -61,7 +65,7 @@ class ListWatch:
     def __init__(
         self,
         path: Path,
-        streams: Sequence[ListedStream],
+        begun: StreamsFile,
         recorded: Callable[[str], str | None],
         report: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
@@ -69,7 +73,8 @@ class ListWatch:
         self._path = path
         self._report = report
         self._recorded = recorded
-        self._present = {stream.name: stream for stream in streams}
+        self._present = {stream.name: stream for stream in begun.streams}
+        self._targets = begun.targets
         self._file = FileWatch(path, clock)
 
     def look(self) -> ListChange | None:
@@ -78,7 +83,9 @@ class ListWatch:
 
     def _read(self) -> ListChange | None:
         try:
-            parsed = parse_stream_list(self._path, StreamsFile(tuple(self._present.values()), {}))
+            parsed = parse_stream_list(
+                self._path, StreamsFile(tuple(self._present.values()), {}, None, self._targets)
+            )
         except ConfigError as error:
             self._report(f"{error} Nothing is changed.")
             return None
@@ -96,9 +103,11 @@ class ListWatch:
         self._present |= {stream.name: stream for stream in usable}
         for name in removed:
             del self._present[name]
-        if not (added or removed or changed):
+        targets = None if parsed.targets == self._targets else parsed.targets
+        self._targets = parsed.targets
+        if not (added or removed or changed or targets is not None):
             return None
-        return ListChange(tuple(added), tuple(removed), tuple(changed), parsed.text)
+        return ListChange(tuple(added), tuple(removed), tuple(changed), parsed.text, targets)
 
     def _is_present(self, stream: ListedStream) -> bool:
         return stream.is_like(self._present[stream.name])

@@ -7,13 +7,24 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.events.targets import EventTarget
 from orchestrator.events.zones import EventSettings
 from orchestrator.sources.address import SourceAddress
 
-__all__ = ["MAX_NAME_BYTES", "RESERVED_NAMES", "ListedStream", "OwnSettings", "StreamsFile", "check_name"]
+__all__ = [
+    "MAX_NAME_BYTES",
+    "RESERVED_NAMES",
+    "UNSAFE_CHARACTERS",
+    "ListedStream",
+    "OwnSettings",
+    "StreamsFile",
+    "check_name",
+]
 
 MAX_NAME_BYTES = 100
 RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html", "ray.log"})
+#: What a file's name cannot hold on Windows, and on shares that Windows reads.
+UNSAFE_CHARACTERS = frozenset('<>:"|?*')
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +82,14 @@ class StreamsFile:
         Number of each line that cannot be used → what is wrong with it, without credentials.
     text : str, optional
         Of a file of cameras.
+    targets : tuple of EventTarget, optional
+        Where it has events sent; None if that is not known.
     """
 
     streams: tuple[ListedStream, ...]
     faults: dict[int, str]
     text: str | None = field(default=None, repr=False)
+    targets: tuple[EventTarget, ...] | None = ()
 
 
 def check_name(name: str, *, given: bool) -> None:
@@ -90,6 +104,8 @@ def check_name(name: str, *, given: bool) -> None:
     advice = "choose another name" if given else "give it a name by writing NAME SOURCE"
     if not name or "/" in name or "\\" in name or name.startswith((".", "-")) or "***" in name:
         raise ConfigError(f"{name!r} cannot be the name of a stream's folder; {advice}")
+    if unsafe := "".join(sorted(UNSAFE_CHARACTERS & set(name))) or (name[-1:] if name[-1] in ". " else ""):
+        raise ConfigError(f"the name {name!r} holds {unsafe!r}, which not every disk can store; {advice}")
     if len(name.encode()) > MAX_NAME_BYTES:
         raise ConfigError(f"the name is longer than {MAX_NAME_BYTES} bytes; {advice}")
     if name.lower() in RESERVED_NAMES:

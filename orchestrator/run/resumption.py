@@ -50,7 +50,7 @@ def earlier_streams(folder: RunFolder, near: Path) -> StreamsFile:
         with suppress(ConfigError):
             parsed = parse_cameras(cameras, near.parent)
             known |= {one.name: one for one in parsed.streams}
-    return StreamsFile(tuple(known.values()), {})
+    return StreamsFile(tuple(known.values()), {}, targets=None)
 
 
 def with_new_names(
@@ -58,6 +58,7 @@ def with_new_names(
     begun: Mapping[str, Any],
     streams: Sequence[ListedStream],
     say: Callable[[str], None],
+    rename: Callable[[str, str], None],
 ) -> dict[str, Any]:
     """Give records of streams that had another name the one of now; return the run's description with it.
 
@@ -69,7 +70,7 @@ def with_new_names(
             continue
         before, now = folder.stream(stream.was), folder.stream(stream.name)
         if before.is_dir() and not now.exists():
-            before.rename(now)
+            rename(stream.was, stream.name)
             say(f"{stream.was} is {stream.name} now, with all that was recorded of it.")
             sources[stream.name] = sources.pop(stream.was)
     return {**begun, "sources": sources}

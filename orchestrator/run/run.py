@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import shlex
 import shutil
+import sqlite3
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -17,11 +19,14 @@ from mlbs_actors.actors.node.reservation import Share
 from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from mlbs_actors.config import Config
-from mlbs_actors.errors import SinkError
+from mlbs_actors.errors import ConfigError, SinkError
 from mlbs_actors.kernels.machine_code import has_machine_code
 from mlbs_actors.wording import count_of
+from orchestrator.clips.clips import Clips
+from orchestrator.counts.stream_counts import CountReader
 from orchestrator.credentials import mask
 from orchestrator.events.delivery import Deliveries
+from orchestrator.events.targets import all_targets
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.log import Log
 from orchestrator.monitor.board import Board
@@ -114,10 +119,15 @@ def run(
     """
     folder, streams = RunFolder(arguments.output.resolve()), listed.streams
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
+        targets = None if listed.targets is None else all_targets(arguments.events, listed.targets)
+        deliveries = Deliveries(targets, folder.path, log.warn, _page_of(arguments), lambda: job.cameras())
         begun = None
         if arguments.resume and folder.holds_run:
             hold.enter_context(folder.locked())
-            begun = with_new_names(folder, folder.description(), streams, log.say)
+            try:
+                begun = with_new_names(folder, folder.description(), streams, log.say, deliveries.rename)
+            except (OSError, sqlite3.Error) as error:
+                raise ConfigError(f"Cannot write to {folder.path}: {error}.") from None
         recorded = {} if begun is None else folder.recorded_sources(begun)
         faults = dict(missing)
         ended: dict[str, StreamState] = {}
@@ -137,10 +147,10 @@ def run(
             None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
         )
         before = None if begun is None else begun | {"sources": recorded if arguments.watch else {}}
-        job = Job(streams, arguments, config, folder, live, log.warn, before)
+        listed = replace(listed, streams=tuple(streams))
+        job = Job(listed, arguments, config, folder, live, log.warn, deliveries, before)
         memory = node_memory()
         retention = Retention(folder.path, job.keeps, log.warn)
-        deliveries = Deliveries(arguments.events, folder.path, log.warn)
         status = StatusFile(
             folder.path / "status.json",
             kept=lambda: retention.figures,
@@ -167,7 +177,7 @@ def run(
             due = [spec for spec in due if spec.name not in bad]
         for stream in faulty:
             place = f"{arguments.streams}, line {stream.line}: " if stream.line else ""
-            log.say(place + faults[stream.name], "error")
+            log.say(place + faults[stream.name], "error", stream.name)
         onlookers: list[Observer] = []
         if at_work := bool(due) or arguments.watch:
             monitored = _monitored(arguments, live, folder.path, deliveries, log)
@@ -175,7 +185,7 @@ def run(
             _announce(due, arguments, memory, contents, log)
             session.enter_context(joined_ray(arguments.address, head))
         if at_work and arguments.ray_metrics is not None:
-            onlookers.append(RayMetrics(deliveries.backlogs))
+            onlookers.append(RayMetrics(deliveries.backlogs, counts=CountReader(folder.path).of))
             if arguments.address is None:
                 log.say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
         onlookers.append(retention)
@@ -184,6 +194,8 @@ def run(
             hold.enter_context(folder.locked())
         job.keep_description(listed.text)
         session.enter_context(deliveries)
+        if arguments.clips is not None:
+            session.enter_context(Clips(arguments.clips, folder.path, job.video, log.warn))
         if at_work:
             lengths = {name: one.length for name, one in survey.finish().items() if one.length is not None}
             states, exit_status = _drive(
@@ -206,6 +218,14 @@ def run(
             raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
     log.say(_closing_words(folder, states, arguments))
     return exit_status
+
+
+def _page_of(arguments: Arguments) -> str | None:
+    """Return the address of the live page for links, if it is known."""
+    monitor = arguments.monitor
+    if arguments.page is not None or monitor is None or not monitor.port or monitor.host in ("0.0.0.0", "::"):
+        return arguments.page
+    return f"http://{monitor.host}:{monitor.port}"
 
 
 def _without_source(stream: ListedStream, fault: str) -> StreamState:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,9 @@ _LASTING = ("started", "versions", "machine")
 
 #: Least time between two writings of ``status.json``, s.
 _STATUS_SECONDS = 0.5
+
+#: A run that has not written it for so long is dead, s.
+_ALIVE_SECONDS = 30.0
 
 
 def read_description(run: Path) -> dict[str, Any] | None:
@@ -256,9 +259,11 @@ class StatusFile:
         for state in states:
             figures = state.figures()
             streams[figures.pop("name")] = figures
+        now, ended = datetime.now(timezone.utc), exit_status is not None
         status = {
-            "updated": _now(),
-            "ended": exit_status is not None,
+            "updated": _iso(now),
+            "alive_until": None if ended else _iso(now + timedelta(seconds=_ALIVE_SECONDS)),
+            "ended": ended,
             "exit_status": exit_status,
             "waiting": sum(state.state == "waiting" for state in states),
             "running": sum(state.state != "waiting" and state.state not in ENDED for state in states),
@@ -327,4 +332,8 @@ def _cpu() -> str:
 
 
 def _now() -> str:
-    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+    return _iso(datetime.now(timezone.utc))
+
+
+def _iso(time: datetime) -> str:
+    return time.isoformat(timespec="milliseconds")

@@ -110,12 +110,13 @@ def _parse_lines(path: Path) -> StreamsFile:
     for number, raw in enumerate(lines, start=1):
         try:
             for stream in _parse_line(raw, number, path.parent):
-                if stream.name in first_line:
+                same = stream.name.lower()  # for many shares and disks it is the same folder
+                if same in first_line:
                     raise ConfigError(
-                        f"the name {stream.name!r} is taken by line {first_line[stream.name]}; "
-                        "give this stream another one by writing NAME SOURCE"
+                        f"the name {stream.name!r} is taken by line {first_line[same]} (upper and lower case "
+                        "are alike); give this stream another one by writing NAME SOURCE"
                     )
-                first_line[stream.name] = number
+                first_line[same] = number
                 streams.append(stream)
         except (ConfigError, SourceError) as error:
             faults[number] = mask(str(error)).rstrip(".")

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from mlbs_actors.config import Config, with_overrides
+from orchestrator.clips.settings import has_clips
 from orchestrator.events.zones import EventRules
 from orchestrator.ignored import IgnoredFile
 from orchestrator.options import Arguments, Effect, options
@@ -90,6 +91,8 @@ def settings_of(stream: ListedStream, arguments: Arguments, config: Config) -> S
     rules = arguments.zones.rules_of(stream.name, remembered)
     if stream.own.rules is not None:
         rules = stream.own.rules.event_rules(arguments.zones.content.minimum, remembered)
+    if arguments.clips is not None and has_clips(stream.source):
+        rules = replace(rules, clips=arguments.clips.kinds)
     values |= {
         "config": config,
         "ignore": ignored.file_of(stream.name),

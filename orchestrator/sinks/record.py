@@ -35,6 +35,7 @@ from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
+from orchestrator.sinks.still import Still
 from orchestrator.sources.address import SourceAddress
 from orchestrator.storage.commit_log import CommitLog, first_frame, permanent, read_commits
 from orchestrator.storage.durable_files import publish, remove_temporary, temporary_path
@@ -115,6 +116,7 @@ class StreamRecord:
         self._name = name
         self._save = save
         self._live_picture = live_picture
+        self._still = Still(folder) if live else None
         self._live = live
         self._drawing = drawing
         self._rows: list[FrameRow] = []
@@ -189,6 +191,8 @@ class StreamRecord:
                 self._overlay.add(shown)
             if self._live_picture is not None:
                 self._live_picture.show(shown)
+            if self._still is not None:
+                self._still.show(frame.image)
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
@@ -252,14 +256,15 @@ class StreamRecord:
         try:
             if not self._live or self._provisional or whole:
                 self._commit()
-            if whole or self._objects is not None or self._segments is not None:
-                with self._log.exclusive():
-                    if self._segments is not None:
-                        self._segments.merge_all(self._log)
-                    if whole:
-                        self._events.finish(self._log.rows)
-                    if self._objects is not None:
-                        self._objects.write(complete=whole)
+            with self._log.exclusive():
+                if self._segments is not None:
+                    self._segments.merge_all(self._log)
+                if whole:
+                    self._events.finish(self._log.rows)
+                else:
+                    self._events.show_counts()
+                if self._objects is not None:
+                    self._objects.write(complete=whole)
             self._pictures.discard()
             self._events.discard()
         except OSError as error:

@@ -11,6 +11,9 @@ from typing import Protocol
 import av
 import av.error
 import av.logging
+from av.audio.stream import AudioStream
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
 
 from mlbs_actors.errors import SourceError
 from orchestrator.sources.address import SourceAddress
@@ -19,6 +22,7 @@ from orchestrator.sources.libav import open_video, reason, upright_bgr
 from orchestrator.sources.libav_policy import HLS, HTTP_VIDEO, LibavPolicy
 from orchestrator.sources.live_buffer import STALL_SECONDS, Picture
 from orchestrator.sources.mjpeg import JpegConnection
+from orchestrator.sources.packets import PacketKeeper, PacketStore
 
 __all__ = ["Connection", "LibavConnection", "Pace", "connect"]
 
@@ -56,13 +60,15 @@ class Connection(Protocol):
         """Close the connection."""
 
 
-def connect(address: SourceAddress) -> Connection:
+def connect(address: SourceAddress, packets: PacketStore | None = None) -> Connection:
     """Connect to a camera.
 
     Parameters
     ----------
     address : SourceAddress
         Of kind NETWORK or CAMERA.
+    packets : PacketStore, optional
+        Keeps what the camera sends, its sound included.
 
     Raises
     ------
@@ -70,15 +76,15 @@ def connect(address: SourceAddress) -> Connection:
         If the camera cannot be reached or sends no video; the message hides credentials.
     """
     if not address.location.startswith("http"):
-        return LibavConnection(address)
+        return LibavConnection(address, packets=packets)
     try:
-        return _connect_over_http(address)
+        return _connect_over_http(address, packets)
     except SourceError as error:
         why = str(error).removeprefix(f"Cannot open {address}: ").rstrip(".")
         raise SourceError(f"Cannot open {address}: {why}.") from None
 
 
-def _connect_over_http(address: SourceAddress) -> Connection:
+def _connect_over_http(address: SourceAddress, packets: PacketStore | None) -> Connection:
     camera = HttpCamera(address.location, _DEAD_SECONDS)
     answer = camera.get()
     if answer is None:
@@ -90,11 +96,11 @@ def _connect_over_http(address: SourceAddress) -> Connection:
             kind = _sniffed(head) or kind
         if kind in _JPEGS or kind.startswith("multipart/"):
             opened.pop_all()
-            return JpegConnection(camera, answer, head, patience_s=_DEAD_SECONDS)
+            return JpegConnection(camera, answer, head, patience_s=_DEAD_SECONDS, packets=packets)
     if kind in _PLAYLISTS:
-        return LibavConnection(address, HLS)
+        return LibavConnection(address, HLS, packets=packets)
     if kind.startswith("video/") and answer.length is None:
-        return LibavConnection(address, HTTP_VIDEO)
+        return LibavConnection(address, HTTP_VIDEO, packets=packets)
     if kind.startswith("video/"):
         raise SourceError("it is a finished video, no camera; download it and name its file")
     told = f"of the type {kind[:60]!r}" if kind else "of no stated type"
@@ -123,6 +129,8 @@ class LibavConnection:
         What may be opened; by default that of the address.
     clock : callable
         Monotonic time, s.
+    packets : PacketStore, optional
+        Keeps what the camera sends, its sound included.
 
     Raises
     ------
@@ -135,9 +143,15 @@ class LibavConnection:
         address: SourceAddress,
         policy: LibavPolicy | None = None,
         clock: Callable[[], float] = time.monotonic,
+        packets: PacketStore | None = None,
     ) -> None:
         self._container, self._stream, _ = open_video(address, _DEAD_SECONDS, policy)
         self._clock = clock
+        self._streams: list[VideoStream | AudioStream] = [self._stream]
+        self._keeper: PacketKeeper | None = None
+        if packets is not None:
+            self._streams += self._container.streams.audio[:1]
+            self._keeper = packets.recorder(self._streams)
         # A playlist's pictures come a segment at once.
         self._pace = Pace(clock) if policy is HLS else None
         if policy is HLS:
@@ -148,28 +162,34 @@ class LibavConnection:
         with av.logging.Capture():
             try:
                 asked = self._clock()
-                for packet in self._container.demux(self._stream):
+                for packet in self._container.demux(*self._streams):
                     # After its timeout libav returns a partial picture and continues.
                     if self._clock() - asked >= _DEAD_SECONDS:
                         raise SourceError("no answer in time")
-                    with suppress(av.error.InvalidDataError):
-                        for frame in packet.decode():
-                            if self._pace is not None:
-                                self._pace.wait(frame.time)
-                            yield Picture(frame.time, partial(upright_bgr, frame), frame.is_corrupt)
+                    if packet.stream is self._stream:
+                        with suppress(av.error.InvalidDataError):
+                            frames = (frame for frame in packet.decode() if isinstance(frame, VideoFrame))
+                            for frame in frames:
+                                if self._pace is not None:
+                                    self._pace.wait(frame.time)
+                                yield Picture(frame.time, partial(upright_bgr, frame), frame.is_corrupt)
+                    if self._keeper is not None:  # last, as it changes the packet's times
+                        self._keeper.keep(packet)
                     asked = self._clock()
             except (av.error.FFmpegError, OSError) as error:
-                raise SourceError(reason(error)) from None
+                raise SourceError(reason(error, of_network=True)) from None
 
     def close(self) -> None:
         """Close the connection."""
+        if self._keeper is not None:
+            self._keeper.close()
         self._container.close()
 
     def _leave_out_variants(self) -> None:
-        """Download only the stream that is read, not the same picture in other sizes and the sound."""
+        """Download only what is read or kept, not the same picture in other sizes."""
         for stream in self._container.streams:
             # Before version 16 PyAV has no such switch; then everything is downloaded.
-            if stream is not self._stream and hasattr(stream, "discard"):
+            if stream not in self._streams and hasattr(stream, "discard"):
                 stream.discard = type(stream.discard).all
 
 

@@ -86,7 +86,11 @@ def open_video(
             )
     except (av.error.FFmpegError, OSError, ValueError) as error:
         # Neither the message nor the chained error may contain libav's text: it quotes the address.
-        why = policy.other if isinstance(error, av.error.InvalidDataError) else reason(error)
+        why = (
+            policy.other
+            if isinstance(error, av.error.InvalidDataError)
+            else reason(error, of_network=kind is SourceKind.NETWORK)
+        )
         raise SourceError(f"Cannot open {address}: {why}.") from None
     if not container.streams.video:
         container.close()
@@ -100,12 +104,12 @@ def open_video(
     return container, stream, len(log)
 
 
-def reason(error: Exception) -> str:
+def reason(error: Exception, *, of_network: bool = False) -> str:
     """Describe in a few words, without credentials, an error of libav."""
     for kind, words in _REASONS.items():
         if isinstance(error, kind):
             return words
-    if getattr(error, "errno", None) == EIO:
+    if of_network and getattr(error, "errno", None) == EIO:
         return "the connection broke off, or its host is unknown"  # libav does not tell them apart
     text = getattr(error, "strerror", None) or type(error).__name__
     return mask(str(text)).rstrip(".")

@@ -25,6 +25,7 @@ from orchestrator.sources.live_buffer import (
     Picture,
     retry_seconds,
 )
+from orchestrator.sources.packets import PacketStore
 
 __all__ = ["LiveReader"]
 
@@ -90,9 +91,11 @@ class LiveReader:
         self._start_thread()
 
     @classmethod
-    def of(cls, address: SourceAddress, give_up_after: float | None = None) -> LiveReader:
-        """Read the camera at an address."""
-        return cls(str(address), partial(connect, address), give_up_after)
+    def of(
+        cls, address: SourceAddress, give_up_after: float | None = None, packets: PacketStore | None = None
+    ) -> LiveReader:
+        """Read the camera at an address, and keep its packets if so asked."""
+        return cls(str(address), partial(connect, address, packets), give_up_after)
 
     def read(self) -> SourceFrame | SourceSilence | None:
         """Return the next frame, drop or gap, or that there is none at present; None at the end."""

@@ -15,6 +15,7 @@ from orchestrator.sources.http_answer import HttpAnswer, HttpCamera
 from orchestrator.sources.images import decode_image
 from orchestrator.sources.jpeg import JpegFinder
 from orchestrator.sources.live_buffer import Picture
+from orchestrator.sources.packets import PacketStore
 
 __all__ = ["JpegConnection"]
 
@@ -36,6 +37,8 @@ class JpegConnection:
         Time without a picture after which the connection is given up, s.
     clock, sleep : callable
         Monotonic time and a pause, s.
+    packets : PacketStore, optional
+        Keeps the pictures.
     """
 
     def __init__(
@@ -47,7 +50,9 @@ class JpegConnection:
         patience_s: float,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], object] = time.sleep,
+        packets: PacketStore | None = None,
     ) -> None:
+        self._keeper = None if packets is None else packets.jpeg_recorder()
         self._camera, self._answer, self._head = camera, answer, head
         self._patience_s = patience_s
         self._clock, self._sleep = clock, sleep
@@ -61,6 +66,8 @@ class JpegConnection:
             before, count = shown, 0
             for count, shown in enumerate(self._jpegs(), 1) if answer else ():
                 if count > 1 or shown != before:
+                    if self._keeper is not None:
+                        self._keeper.keep(shown)
                     yield Picture(None, partial(decode_image, shown))
             if count > 1:
                 return
@@ -78,6 +85,8 @@ class JpegConnection:
 
     def close(self) -> None:
         """Close the connection."""
+        if self._keeper is not None:
+            self._keeper.close()
         self._answer.close()
 
     def _jpegs(self) -> Iterator[bytes]:

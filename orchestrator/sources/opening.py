@@ -7,6 +7,7 @@ from orchestrator.sources.address import SourceAddress, SourceKind
 from orchestrator.sources.animation import AnimationReader, is_animation
 from orchestrator.sources.images import FRAME_RATE, ImageSequenceReader
 from orchestrator.sources.live import LiveReader
+from orchestrator.sources.packets import PacketStore
 from orchestrator.sources.presence import holds_images, require_source
 from orchestrator.sources.synthetic import SyntheticScene, scene_from_uri
 from orchestrator.sources.video import VideoReader
@@ -14,7 +15,9 @@ from orchestrator.sources.video import VideoReader
 __all__ = ["SceneReader", "open_reader"]
 
 
-def open_reader(address: SourceAddress, give_up_after: float | None = None) -> FrameReader:
+def open_reader(
+    address: SourceAddress, give_up_after: float | None = None, packets: PacketStore | None = None
+) -> FrameReader:
     """Open a source.
 
     Parameters
@@ -22,6 +25,8 @@ def open_reader(address: SourceAddress, give_up_after: float | None = None) -> F
     address : SourceAddress
     give_up_after : float, optional
         Time without a picture after which a camera is given up, s.
+    packets : PacketStore, optional
+        Keeps what a camera sends.
 
     Raises
     ------
@@ -32,7 +37,7 @@ def open_reader(address: SourceAddress, give_up_after: float | None = None) -> F
     if address.kind is SourceKind.SYNTHETIC:
         return SceneReader(scene_from_uri(address.location))
     if address.kind is not SourceKind.PATH:
-        return LiveReader.of(address, give_up_after)
+        return LiveReader.of(address, give_up_after, packets)
     if is_animation(address.location):
         return AnimationReader(address.location)
     if holds_images(address):

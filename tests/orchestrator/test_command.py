@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import importlib.util
 import json
@@ -797,11 +798,23 @@ def _wait_for(condition: Callable[[], bool], seconds: float) -> None:
         time.sleep(0.1)
 
 
+def _signal_descendants(process: int, number: int) -> None:
+    """Signal a process and all that it has started, in whatever group or session they are."""
+    for task in Path(f"/proc/{process}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            with contextlib.suppress(OSError):  # it has ended
+                _signal_descendants(int(child), number)
+    os.kill(process, number)
+
+
 @pytest.mark.long
 @pytest.mark.ray
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_to_its_group_ends_a_run_cleanly_with_all_that_was_read_committed(
-    tmp_path: Path, number: signal.Signals
+@pytest.mark.parametrize(
+    ("number", "to"),
+    [(signal.SIGINT, os.killpg), (signal.SIGTERM, os.killpg), (signal.SIGTERM, _signal_descendants)],
+)
+def test_a_signal_to_all_its_processes_ends_a_run_cleanly_with_all_that_was_read_committed(
+    tmp_path: Path, number: signal.Signals, to: Callable[[int, int], None]
 ) -> None:
     path = stream_list(
         tmp_path, "demo 'synthetic:no-mover?frames=5000&width=64&height=48'", "late synthetic:no-mover"
@@ -817,7 +830,7 @@ def test_a_signal_to_its_group_ends_a_run_cleanly_with_all_that_was_read_committ
     )
     with run:
         _wait_for(lambda: (output / "demo/commits.jsonl").exists(), 120)
-        os.killpg(run.pid, number)  # as a terminal and timeout do
+        to(run.pid, number)  # as a terminal and timeout do, and a service manager
         _, stderr = run.communicate(timeout=60)
     assert run.returncode == 128 + number, stderr
     for words in (

@@ -38,6 +38,8 @@ def test_a_message_hides_credentials_and_is_text_or_a_json_line(capsys: pytest.C
         "message": text.strip(),
     }
     assert "hunter2" not in text + line
+    Log("json").say("It is gone.", "error", "gate")
+    assert json.loads(capsys.readouterr().err)["stream"] == "gate"
 
 
 def test_a_line_that_nobody_reads_asks_once_for_the_end_and_later_ones_go_nowhere() -> None:

@@ -58,6 +58,7 @@ def test_a_json_line_says_when_of_which_run_and_stream_and_what_it_is_about() ->
     }
     assert list(lines(output)[0])[:5] == list(head)
     assert lines(output)[0].items() >= (head | {"state": "reconnecting", "read": 7}).items()
+    assert lines(output)[0]["message"] == "a: reconnecting, 7 frames: It is off."
 
 
 def test_a_running_stream_gets_a_json_line_every_five_seconds_if_it_moves() -> None:

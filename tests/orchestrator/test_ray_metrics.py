@@ -17,9 +17,10 @@ import pytest
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import parse
+from orchestrator.counts.stream_counts import StreamCounts
 from orchestrator.events.delivery import Backlog
 from orchestrator.monitor import ray_metrics
-from orchestrator.monitor.metrics import METRICS, STATE, TARGET_METRICS
+from orchestrator.monitor.metrics import COUNT_METRICS, METRICS, STATE, TARGET_METRICS
 from orchestrator.monitor.ray_metrics import RayMetrics
 from orchestrator.ray_session import ray_session
 from orchestrator.run.stream_state import StreamState, after_loss
@@ -59,7 +60,7 @@ def test_ray_is_told_the_figures_that_the_page_serves(told: dict[str, dict[tuple
     state = StreamState("yard", "running", read=20, committed=8, layers=3, frames_per_second=4.25)
     metrics.update([state, StreamState("late")])
     metrics.update([replace(state, read=36, dropped=2, latency_ms=500.0), StreamState("late")])
-    assert set(told) == {one.name for one in (*METRICS, *TARGET_METRICS)} | {STATE}
+    assert set(told) == {one.name for one in (*METRICS, *TARGET_METRICS, *COUNT_METRICS)} | {STATE}
     # Before they count anything counters are there, so that a Prometheus sees them begin.
     nothing = pytest.approx(0, abs=1e-300)
     assert told["mlbs_stream_read_frames_total"] == {("yard",): 36, ("late",): nothing}
@@ -95,6 +96,27 @@ def test_what_waits_for_a_target_of_events_is_told_once_a_second(
         metrics.update([])
         assert told["mlbs_events_waiting"] == {("mqtt://broker/***",): known}
     assert told["mlbs_events_away_seconds"] == {("mqtt://broker/***",): 0}
+
+
+def test_what_is_counted_is_told_once_a_second_and_no_zone_that_is_gone_goes_on(
+    told: dict[str, dict[tuple[str, ...], float]],
+) -> None:
+    now = [10.0]
+    counts = [
+        StreamCounts(zones={"yard": 2}, crossings={"fence": {"left": 3, "right": 0}}),
+        StreamCounts(zones={"lane": 1}, crossings={"fence": {"left": 5, "right": 0}}),
+    ]
+    metrics = RayMetrics(clock=lambda: now[0], counts=lambda stream: counts[0])
+    metrics.update([StreamState("gate", "running")])
+    assert told["mlbs_zone_objects"] == {("gate", "yard"): 2}
+    now[0], counts[0] = 11.0, counts[1]
+    metrics.update([StreamState("gate", "running")])
+    assert told["mlbs_zone_objects"] == {("gate", "yard"): 0, ("gate", "lane"): 1}
+    nothing = pytest.approx(0, abs=1e-300)
+    assert told["mlbs_line_crossings_total"] == {
+        ("gate", "fence", "left"): 5,
+        ("gate", "fence", "right"): nothing,
+    }
 
 
 def test_nothing_goes_on_of_a_stream_that_was_taken_from_the_list(

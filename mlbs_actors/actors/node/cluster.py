@@ -32,6 +32,7 @@ from mlbs_actors.actors.parts import PartFactory
 from mlbs_actors.actors.pipeline import Node, StreamActors
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, StreamSpec
 from mlbs_actors.errors import ConfigError, MlbsError, NoPlaceError
+from mlbs_actors.source import FrameReader
 
 __all__ = ["Cluster"]
 
@@ -281,6 +282,9 @@ class _Placed:
 
     def advance(self) -> Future[StreamProgress]:
         return self.stream.advance()
+
+    def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
+        self.stream.reopen(open_reader)
 
     def configure(self, settings: object) -> None:
         self.stream.configure(settings)

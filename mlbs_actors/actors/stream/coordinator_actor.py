@@ -12,7 +12,7 @@ import logging
 import os
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache, partial
@@ -41,7 +41,7 @@ from mlbs_actors.actors.stream.snapshots import StreamSnapshots
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import ActorLostError, MlbsError, SourceError
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation
-from mlbs_actors.source import SourceFrame, SourceSilence
+from mlbs_actors.source import FrameReader, SourceFrame, SourceSilence
 
 __all__ = ["CoordinatorActor"]
 
@@ -114,6 +114,14 @@ class CoordinatorActor:
             If the stream failed, now or in an earlier call. What was labelled before is committed.
         """
         return self._guarded(frames)
+
+    def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
+        """Read a live source from another place from now on."""
+        assert isinstance(self._source, LiveReadAhead)
+        if not self._begun:
+            self._begin()
+        if self._ended is None:
+            self._source.reopen(open_reader)
 
     def wait_inside_a_call(self, handle: WakeupHandle) -> None:
         """Wait until woken: inside a call the process takes no CPU time between its bursts."""

@@ -20,7 +20,7 @@ from mlbs_actors.actors.ipc.shared_memory import SharedMemory, Slot, SlotPool
 from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.processes import get
-from mlbs_actors.actors.stream.messages import Forget, ReaderAnswer, ReadNext
+from mlbs_actors.actors.stream.messages import Forget, ReaderAnswer, ReadNext, Reopen
 from mlbs_actors.actors.stream.reader import LEAST_ASKED, ReadAhead, answer
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.source import FrameReader, SourceFrame, SourcePosition, SourceSilence
@@ -99,13 +99,14 @@ class LiveReaderActor:
         self._memory = SharedMemory()  # of the newest start
         self._row = 0  # the next row of that start
         self._position = SourcePosition()
+        self._pts = 0.0  # of the newest row
         self._lag: float | None = None  # of the source's times behind those of the stream, s
 
     def go_on(self, position: SourcePosition) -> ChannelAddress:
         """Continue after ``position`` for a new start of the stream, through the channel returned."""
         self._channel, self._memory, self._row = ChannelListener(), SharedMemory(), position.rows
         if not self._ring.first <= position.rows <= self._ring.next:
-            self._position = position
+            self._position, self._pts = position, position.pts
             self._ring.begin_at(position.rows)
             self._ring.append(SourceFrame(position.rows, None, position.pts, _name(position.rows), "gap"))
         return self._channel.address
@@ -131,6 +132,15 @@ class LiveReaderActor:
         """Forget the first ``rows`` rows, which a snapshot covers."""
         self._ring.forget(rows)
 
+    def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
+        """Read from another place; what is between its pictures and those so far is a row ``gap``."""
+        self.close()
+        self._open_reader, self._reader, self._lag = open_reader, None, None
+        if self._ring.next:
+            rows, pts = self._ring.next, self._pts
+            self._position = SourcePosition(rows, pts, time.time())
+            self._ring.append(SourceFrame(rows, None, pts, _name(rows), "gap"))
+
     def problem(self) -> str | None:
         """Return what was wrong with the source so far, as a sentence, or None."""
         return None if self._reader is None else self._reader.problem
@@ -140,9 +150,11 @@ class LiveReaderActor:
         if self._reader is not None:
             self._reader.close()
 
-    def _answers(self, message: ReadNext | Forget) -> Iterator[ReaderAnswer]:
+    def _answers(self, message: ReadNext | Forget | Reopen) -> Iterator[ReaderAnswer]:
         if isinstance(message, Forget):
             self.forget(message.rows)
+        elif isinstance(message, Reopen):
+            self.reopen(message.open_reader)
         else:
             yield self.read(message)
 
@@ -156,7 +168,8 @@ class LiveReaderActor:
         if self._lag is None:
             away = max(0.0, time.time() - began.time) if began.rows else 0.0
             self._lag = began.pts + away - frame.pts
-        return replace(frame, index=index, name=_name(index), pts=frame.pts + self._lag)
+        self._pts = frame.pts + self._lag
+        return replace(frame, index=index, name=_name(index), pts=self._pts)
 
 
 def _name(row: int) -> str:
@@ -200,6 +213,10 @@ class LiveReadAhead(ReadAhead):
         if rows > self._forgotten:
             self._send(Forget(rows))
             self._forgotten = rows
+
+    def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
+        """See :meth:`LiveReaderActor.reopen`."""
+        self._send(Reopen(open_reader))
 
     def _request(self, slot: Slot) -> ReadNext:
         return ReadNext(slot, self._fresh)

@@ -1,7 +1,8 @@
 """What the processes of a stream say to each other, in the order in which a frame passes through them.
 
 ========================  =============================================================================
-coordinator → reader      ``ReadNext``, answered by a ``ReaderAnswer``; ``Skip``, of a live source ``Forget``
+coordinator → reader      ``ReadNext``, answered by a ``ReaderAnswer``; ``Skip``, or, of a live source,
+                          ``Forget`` and ``Reopen``
 coordinator → segmenter   ``FrameWork``, answered by a ``LabelledFrame``; ``Retirement``, ``SaveState``
 segmenter → layer         ``LayerStart``; ``LayerStep``, answered by the references of a posterior and, if
                           wanted, of the remembered colours; ``SaveState``
@@ -15,6 +16,7 @@ the slot for its answer.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -24,7 +26,7 @@ from mlbs_actors.actors.ipc.shared_memory import Shared, Slot
 from mlbs_actors.actors.stream.saved_states import SavedLayer
 from mlbs_actors.messages import FrameEvidence, LayerAppearance, Segmentation
 from mlbs_actors.pickling import pickled_by_values
-from mlbs_actors.source import GapStatus, SourceFrame, SourceSilence
+from mlbs_actors.source import FrameReader, GapStatus, SourceFrame, SourceSilence
 from mlbs_actors.state_file import CapturedState
 
 __all__ = [
@@ -38,6 +40,7 @@ __all__ = [
     "LayerStep",
     "ReadNext",
     "ReaderAnswer",
+    "Reopen",
     "Retirement",
     "SaveState",
     "Skip",
@@ -73,6 +76,13 @@ class Forget:
     """Reports to a live reader that rows before this number will not be read again."""
 
     rows: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reopen:
+    """Has a live reader read from another place: what ``open_reader`` opens."""
+
+    open_reader: Callable[[], FrameReader]
 
 
 #: Answer of a reader to a request for its next row: a picture's reference, a row without one, or the end.

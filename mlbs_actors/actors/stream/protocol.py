@@ -253,6 +253,12 @@ class RunningStream(Protocol):
         at the last try, the death of the reader; before the first frame that is a SourceError.
         """
 
+    def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
+        """Have a live source read from another place soon; return at once.
+
+        What comes from there follows a row ``gap``. A stream that is started again is to be given it, too.
+        """
+
     def configure(self, settings: object) -> None:
         """Have the record follow other settings (:meth:`StreamSink.configure`) soon; return at once."""
 

@@ -20,7 +20,7 @@ from mlbs_actors.actors.node.processes import end
 from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream import live_reader as live_reader_module
 from mlbs_actors.actors.stream.live_reader import FrameRing, LiveReaderActor
-from mlbs_actors.actors.stream.messages import ReadNext
+from mlbs_actors.actors.stream.messages import ReadNext, Reopen
 from mlbs_actors.actors.stream.protocol import Snapshot, StreamSpec
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
@@ -118,6 +118,22 @@ def test_without_anything_fresh_a_reader_ends_after_what_it_gave_before() -> Non
     reader.go_on(SourcePosition(1, 0.0, 0.0))
     assert [asked(reader, fresh=False) for _ in range(4)] == [*given[1:], None, None]
     assert len(source.said) == 3
+
+
+def test_a_camera_that_is_elsewhere_now_goes_on_after_a_gap_with_consecutive_rows_and_times() -> None:
+    before, there = (Answers(*(row(index, IMAGE) for index in range(3))) for _ in range(2))
+    reader = reader_of(before)
+    reader.go_on(SourcePosition())
+    given = [asked(reader, fresh=True) for _ in range(2)]
+    assert list(reader._answers(Reopen(lambda: there))) == []
+    assert before.closed
+    given += [asked(reader, fresh=True) for _ in range(4)]
+    frames = [frame for frame in given if isinstance(frame, SourceFrame)]
+    assert [frame.index for frame in frames] == list(range(6))
+    assert [frame.status for frame in frames] == ["ok", "ok", "gap", "ok", "ok", "ok"]
+    times = [frame.pts for frame in frames]
+    assert times == sorted(times)
+    assert there.said == []
 
 
 def test_a_new_reader_goes_on_with_a_gap_and_consecutive_rows_and_times() -> None:

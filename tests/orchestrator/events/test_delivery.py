@@ -1,40 +1,37 @@
-"""Events on their way to a webhook or a broker that is away for a while."""
+"""Events on their way to targets that are away, refuse some, come and go; and a run that is killed."""
 
 from __future__ import annotations
 
-import base64
 import json
-import os
-import pwd
-import shutil
-import socket
+import signal
 import subprocess
-import threading
+import sys
 import time
 from collections.abc import Callable, Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
+from mosquitto import Mosquitto
 from record_fakes import frame, segmentation
 
-from chaos.harness.broker import Broker
 from chaos.harness.webhook import Webhook
 from mlbs_actors.errors import ConfigError
-from orchestrator.command_line import command_again, parse
-from orchestrator.credentials import PASSWORD_VARIABLE
+from orchestrator.events import carrier as carrier_module
 from orchestrator.events import delivery as delivery_module
-from orchestrator.events import targets as targets_module
-from orchestrator.events.delivery import Deliveries
-from orchestrator.events.targets import (
-    DeliveryError,
-    EventTarget,
-    RefusedEventError,
-    open_sender,
-    parse_target,
-)
+from orchestrator.events import mqtt as mqtt_module
+from orchestrator.events import senders as senders_module
+from orchestrator.events.delivery import OUTBOX, Deliveries
+from orchestrator.events.event import EventKind
+from orchestrator.events.event_filter import EventFilter
+from orchestrator.events.senders import RefusedEventError
+from orchestrator.events.targets import EventTarget, parse_target
+from orchestrator.events.zones import EventRules, Zone
 from orchestrator.sinks.record import StreamRecord
+
+ALL = EventFilter(kinds=get_args(EventKind))
+EVERYWHERE = Zone(name="yard", polygon=((0, 0), (1, 0), (1, 1), (0, 1)))
 
 
 @pytest.fixture
@@ -46,10 +43,15 @@ def webhook() -> Iterator[Webhook]:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(delivery_module, "retry_seconds", lambda failures: 0.02)
+    monkeypatch.setattr(carrier_module, "retry_seconds", lambda failures: 0.02)
     # However busy the machine is, what is there answers in time.
     monkeypatch.setattr(delivery_module, "_GRACE_SECONDS", 200.0)
-    monkeypatch.setattr(targets_module, "_ANSWER_SECONDS", 200.0)
+    for module in (senders_module, mqtt_module):
+        monkeypatch.setattr(module, "ANSWER_SECONDS", 200.0)
+
+
+def target_of(url: str, wanted: EventFilter = ALL) -> EventTarget:
+    return replace(parse_target(url), wanted=wanted)
 
 
 def write(record: StreamRecord, begin: int, end: int) -> None:
@@ -58,8 +60,16 @@ def write(record: StreamRecord, begin: int, end: int) -> None:
         record.write(segmentation(index, 3, *([5] if index // 5 % 2 else [])), frame(index))
 
 
-def ids(folder: Path) -> list[str]:
-    return [json.loads(line)["id"] for line in (folder / "events.jsonl").read_text().splitlines()]
+def recorded(folder: Path, *zones: Zone, name: str = "gate") -> StreamRecord:
+    return StreamRecord(folder / name, name, frozenset(), rules=EventRules(zones))
+
+
+def events(folder: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+
+
+def ids(folder: Path) -> list[object]:
+    return [event["id"] for event in events(folder)]
 
 
 def wait_until(there: Callable[[], bool]) -> None:
@@ -71,16 +81,17 @@ def test_every_event_arrives_once_and_in_order_though_the_webhook_is_away(
     tmp_path: Path, webhook: Webhook
 ) -> None:
     said: list[str] = []
-    gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
-    with Deliveries([parse_target(webhook.url)], tmp_path, said.append) as deliveries:
+    gate = recorded(tmp_path)
+    with Deliveries([target_of(webhook.url)], tmp_path, said.append) as deliveries:
         write(gate, 0, 20)
         wait_until(lambda: webhook.ids == ids(tmp_path / "gate"))  # live, before a commit
         webhook.away = True
         began = time.time()
         write(gate, 20, 70)  # which waits for no answer, or it would not return
         wait_until(lambda: bool(said))
+        wait_until(lambda: deliveries.backlogs()[0].waiting == len(ids(tmp_path / "gate")) - len(webhook.ids))
         [backlog] = deliveries.backlogs()
-        assert backlog.waiting == len(ids(tmp_path / "gate")) - len(webhook.ids) > 0
+        assert backlog.waiting > 0
         assert 0 < backlog.away_seconds < time.time() - began
         assert "hook" not in backlog.target
         webhook.away = False
@@ -91,7 +102,7 @@ def test_every_event_arrives_once_and_in_order_though_the_webhook_is_away(
     assert webhook.ids == ids(tmp_path / "gate")
     assert len(set(webhook.ids)) == len(webhook.ids) > 20
     assert said[0].endswith("it answers 503 Service Unavailable. It is tried again.")
-    assert said[1:] == ["Events are delivered to http://127.0.0.1:" + said[1].split(":")[2]]
+    assert said[1:] == [f"Events are delivered to {backlog.target} again."]
 
 
 def test_an_event_that_a_webhook_refuses_is_set_aside_and_the_others_arrive(
@@ -99,13 +110,13 @@ def test_an_event_that_a_webhook_refuses_is_set_aside_and_the_others_arrive(
 ) -> None:
     said: list[str] = []
     webhook.refused = {5}
-    gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
-    with Deliveries([parse_target(webhook.url)], tmp_path, said.append) as deliveries:
+    gate = recorded(tmp_path)
+    with Deliveries([target_of(webhook.url)], tmp_path, said.append) as deliveries:
         write(gate, 0, 60)
         gate.close(whole=True)
     lines = [json.loads(line) for line in (tmp_path / "events-refused.jsonl").read_text().splitlines()]
     aside = [line["event"]["id"] for line in lines]
-    assert sorted([*webhook.ids, *aside]) == sorted(ids(tmp_path / "gate"))
+    assert sorted([*webhook.ids, *aside]) == sorted(map(str, ids(tmp_path / "gate")))
     assert webhook.ids == [one for one in ids(tmp_path / "gate") if one not in aside]
     assert len(aside) > 2
     assert {line["event"]["object"] for line in lines} == {5}
@@ -115,63 +126,50 @@ def test_an_event_that_a_webhook_refuses_is_set_aside_and_the_others_arrive(
     assert "It is set aside" in said[0]
     [backlog] = deliveries.backlogs()
     assert (backlog.waiting, backlog.away_since, backlog.refused) == (0, None, len(aside))
-    with Deliveries([parse_target(webhook.url)], tmp_path, said.append) as again:
+    with Deliveries([target_of(webhook.url)], tmp_path, said.append) as again:
         assert again.backlogs()[0].refused == len(aside)  # they count after a restart, too
 
 
-def test_an_event_that_is_bad_waits_until_others_have_been_accepted(tmp_path: Path) -> None:
-    class Bad:
+def test_an_event_that_is_bad_waits_until_others_have_been_accepted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Bad(senders_module.Webhook):
         """Accepts nothing, then some."""
 
         asked, accepts = 0, False
 
         def send(self, event: bytes) -> None:
-            self.asked += 1
-            if not self.accepts or json.loads(event)["object"] == 5:
+            Bad.asked += 1
+            if not Bad.accepts or json.loads(event)["object"] == 5:
                 raise RefusedEventError("it answers 400 Bad Request", is_certain=False)
 
-        def close(self) -> None:
-            return
-
-    sender, said = Bad(), list[str]()
-    delivery = delivery_module.Delivery("hook", "key", lambda: sender, tmp_path, said.append)
-    gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
-    delivery.start()
-    write(gate, 0, 20)
-    gate.close(whole=True)
-    wait_until(lambda: sender.asked > 2)
-    assert delivery.backlog().refused == 0
-    (tmp_path / "events-refused.jsonl").write_text('{"target": "ho')  # torn by a full disk
-    sender.accepts = True
-    delivery.close()
-    assert delivery.backlog().waiting == 0
-    assert delivery.backlog().refused > 0
-    again = delivery_module.Delivery("hook", "key", lambda: sender, tmp_path, said.append)
-    again.start()
-    again.close()
-    assert again.backlog().waiting == 0
-
-
-def test_a_webhook_on_this_machine_is_not_asked_for_at_the_proxy(
-    webhook: Webhook, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9/")
-    monkeypatch.delenv("no_proxy", raising=False)
-    open_sender(parse_target(webhook.url)).send(b'{"id": "a"}')
-    assert webhook.ids == ["a"]
+    monkeypatch.setattr(carrier_module, "Webhook", Bad)
+    gate = recorded(tmp_path)
+    with Deliveries([target_of("http://host/hook")], tmp_path, print) as deliveries:
+        write(gate, 0, 20)
+        gate.close(whole=True)
+        wait_until(lambda: Bad.asked > 2)
+        assert deliveries.backlogs()[0].refused == 0
+        Bad.accepts = True
+    [backlog] = deliveries.backlogs()
+    assert backlog.waiting == 0
+    assert backlog.refused > 0
 
 
 def test_targets_that_look_alike_without_their_secrets_have_names_of_their_own(tmp_path: Path) -> None:
-    urls = ["http://bob:1@host/one", "http://host:80/", "http://bob:2@host/two"]
-    deliveries = Deliveries([parse_target(url) for url in urls], tmp_path, print)
-    assert len({backlog.target for backlog in deliveries.backlogs()}) == 3
+    urls = ["http://bob:1@127.0.0.1:9/one", "http://127.0.0.1:9/", "http://bob:2@127.0.0.1:9/two"]
+    with Deliveries([parse_target(url) for url in urls], tmp_path, print) as deliveries:
+        assert len({backlog.target for backlog in deliveries.backlogs()}) == 3
 
 
 def test_a_line_that_is_just_replaced_is_no_backlog(tmp_path: Path, webhook: Webhook) -> None:
     (tmp_path / "gate").mkdir()
-    (tmp_path / "gate/events.jsonl").write_bytes(b'{"id": "a", "num{"id": "b", "number": 2}\n')
-    [backlog] = Deliveries([parse_target(webhook.url)], tmp_path, print).backlogs()
-    assert backlog.waiting == 0
+    file = tmp_path / "gate/events.jsonl"
+    file.write_bytes(b'{"id": "a", "num{"id": "b", "number": 2}\n')
+    with Deliveries([target_of(webhook.url)], tmp_path, print) as deliveries:
+        assert deliveries.backlogs()[0].waiting == 0
+        file.write_bytes(b'{"id": "a", "number": 1, "kind": "born", "stream": "gate"}\n')
+        wait_until(lambda: webhook.ids == ["a"])
 
 
 def test_a_run_that_is_resumed_goes_on_where_the_target_was(
@@ -179,179 +177,94 @@ def test_a_run_that_is_resumed_goes_on_where_the_target_was(
 ) -> None:
     said: list[str] = []
     url, port = webhook.url, webhook.server_address[1]
-    gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
-    with Deliveries([parse_target(url)], tmp_path, said.append):
+    gate = recorded(tmp_path)
+    with Deliveries([target_of(url)], tmp_path, said.append):
         write(gate, 0, 40)
     first = webhook.ids
     assert first == ids(tmp_path / "gate")
     webhook.stop()
     # Killed, and opened again: the lines after the last commit come again, with the same ids.
-    again = StreamRecord(tmp_path / "gate", "gate", frozenset())
+    again = recorded(tmp_path)
     with monkeypatch.context() as patch:
         patch.setattr(delivery_module, "_GRACE_SECONDS", 0.1)
-        with Deliveries([parse_target(url)], tmp_path, said.append) as deliveries:
+        with Deliveries([target_of(url)], tmp_path, said.append) as deliveries:
             write(again, 0, 90)
             again.close(whole=True)
     left = len(ids(tmp_path / "gate")) - len(first)
     assert deliveries.backlogs()[0].waiting == left
     assert said[-1].startswith(f"{left} events could not be delivered to http://127.0.0.1:{port}/***")
     late = Webhook(port)
-    with Deliveries([parse_target(url)], tmp_path, said.append):
+    with Deliveries([target_of(url)], tmp_path, said.append):
         wait_until(lambda: len(late.events) == left)
     late.stop()
     assert [*first, *late.ids] == ids(tmp_path / "gate")
-    [position] = tmp_path.glob(".delivered-*.json")
-    assert json.loads(position.read_text()) == {"gate": {"number": len(first) + left, "ids": {}}}
 
 
-def test_a_password_is_sent_and_shown_nowhere(
-    tmp_path: Path, webhook: Webhook, monkeypatch: pytest.MonkeyPatch
+def test_births_and_what_only_hides_are_written_and_not_sent_unless_they_are_asked_for(
+    tmp_path: Path, webhook: Webhook
 ) -> None:
-    url = webhook.url.replace("http://", "http://bob:s3cr%40t@").replace(
-        "/hook", "/api/webhook/hidden?token=k"
-    )
-    target = parse_target(url)
-    open_sender(target).send(b'{"id": "1"}')
-    assert webhook.headers[0]["Authorization"] == f"Basic {base64.b64encode(b'bob:s3cr@t').decode()}"
-    arguments = parse(["demo", "--events", url])
-    shown = f"{target!r} {target.shown} {arguments!r} {command_again(arguments, 'out')}"
-    assert not any(secret in shown for secret in ("s3cr", "hidden", "token=k"))
-    monkeypatch.setenv(PASSWORD_VARIABLE, "from outside")
-    assert parse_target("http://bob@host/x").password == "from outside"
-    assert parse_target("http://host/x").password is None
+    gate = recorded(tmp_path, EVERYWHERE)
+    targets = [parse_target(webhook.url), target_of(f"{webhook.url}/born", EventFilter(kinds=("born",)))]
+    with Deliveries(targets, tmp_path, print) as deliveries:
+        write(gate, 0, 60)
+        gate.close(whole=True)
+    kinds = [event["kind"] for event in events(tmp_path / "gate")]
+    assert {"born", "hidden", "back", "ended", "entered", "left"} <= set(kinds)
+    sent = [event["kind"] for event in webhook.events]
+    assert set(sent) == {"entered", "left", "camera moving", "born"}
+    assert len(sent) == sum(kinds.count(kind) for kind in set(sent))
+    assert [backlog.waiting for backlog in deliveries.backlogs()] == [0, 0]
 
 
-@pytest.mark.parametrize(
-    ("status", "kind"),
-    [
-        (302, DeliveryError),
-        (401, DeliveryError),
-        (404, DeliveryError),
-        (400, RefusedEventError),
-        (422, RefusedEventError),
-    ],
-)
-def test_a_webhook_that_does_not_accept_has_not_taken_the_event(
-    webhook: Webhook, status: int, kind: type[DeliveryError]
+def test_targets_can_be_replaced_while_a_run_goes_on(tmp_path: Path) -> None:
+    stays, goes, comes = Webhook(), Webhook(), Webhook()
+    goes.away = True
+    gate = recorded(tmp_path)
+    said: list[str] = []
+    with Deliveries([target_of(stays.url), target_of(goes.url)], tmp_path, said.append) as deliveries:
+        write(gate, 0, 40)
+        wait_until(lambda: stays.ids == ids(tmp_path / "gate") and bool(said))
+        first, stays.away = len(stays.ids), True
+        write(gate, 40, 60)
+        births = EventFilter(kinds=("born", "hidden"))
+        deliveries.retarget([target_of(stays.url, births), target_of(comes.url)])
+        goes.away = stays.away = False
+        second = len(ids(tmp_path / "gate"))
+        write(gate, 60, 90)
+        gate.close(whole=True)
+        wait_until(lambda: comes.ids == ids(tmp_path / "gate")[second:])
+        assert len(deliveries.backlogs()) == 2
+    assert len(goes.ids) <= 1  # what was on its way
+    behind = [event["id"] for event in events(tmp_path / "gate")[first:] if births.wants(event)]
+    assert stays.ids[first:] == behind
+    assert len(behind) < second - first + len(comes.ids)
+    for server in (stays, goes, comes):
+        server.stop()
+
+
+def test_a_corrected_password_is_taken_up_at_once_and_nothing_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Other(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            self.send_response(status)
-            self.send_header("Location", webhook.url)
-            self.end_headers()
-
-        def log_message(self, *_: object) -> None:
-            return
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Other) as server:
-        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
-        sender = open_sender(parse_target(f"http://127.0.0.1:{server.server_address[1]}/x"))
-        with pytest.raises(DeliveryError, match=f"it answers {status}") as refused:
-            sender.send(b'{"id": "1"}')
-        server.shutdown()
-    assert type(refused.value) is kind
-    assert getattr(refused.value, "is_certain", None) == {400: False, 422: True}.get(status)
-    assert not webhook.ids
-
-
-@pytest.mark.parametrize(
-    ("url", "told"),
-    [
-        ("yard", "takes mqtt://"),
-        ("ftp://bob:s3cret@host/x", "takes mqtt://"),
-        ("http:///x", "takes mqtt://"),
-        ("http://host:99999/x", "no number up to 65535"),
-        ("mqtt://bob:s3cret@host", "needs a topic"),
-        ("mqtt://bob:s3cret@host/yard/+", "without wildcards"),
-    ],
-)
-def test_a_target_that_cannot_be_is_refused_without_its_password(url: str, told: str) -> None:
-    with pytest.raises(ConfigError, match=told) as refused:
-        parse_target(url)
-    assert "s3cret" not in str(refused.value)
-
-
-def test_mqtt_without_its_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"pip install paho-mqtt"):
-        parse_target("mqtt://host/yard")
-
-
-def test_a_broker_gets_every_event_though_it_was_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("paho.mqtt.client")
-    broker = Broker()
-    port = broker.server_address[1]
-    sender = open_sender(parse_target(f"mqtt://bob:s3cret@127.0.0.1:{port}/yard/events"))
-    sender.send(b'{"id": "1"}')
-    broker.stop()
-    with monkeypatch.context() as patch:
-        patch.setattr(targets_module, "_ANSWER_SECONDS", 0.1)
-        with pytest.raises(DeliveryError):
-            sender.send(b'{"id": "2"}')
-    again = Broker(port)
-    sender.send(b'{"id": "2"}')
-    sender.close()
-    again.stop()
-    assert broker.published == [("yard/events", b'{"id": "1"}')]
-    assert again.published == [("yard/events", b'{"id": "2"}')]
-
-
-def test_a_broker_that_refuses_the_password_is_reported() -> None:
-    pytest.importorskip("paho.mqtt.client")
-    broker = Broker()
-    target = EventTarget(f"mqtt://127.0.0.1:{broker.server_address[1]}/yard", "bob", "wrong")
-    with pytest.raises(DeliveryError, match="it refuses: Not authorized"):
-        open_sender(target).send(b"{}")
-    broker.stop()
-
-
-class Mosquitto:
-    """A real broker with TLS and a password, which keeps what a subscriber has not got."""
-
-    def __init__(self, folder: Path) -> None:
-        program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
-        if program is None or shutil.which("openssl") is None:
-            pytest.skip("no real broker on this machine: install the packages mosquitto and openssl")
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = int(free.getsockname()[1])
-        self.certificate, key = folder / "certificate.pem", folder / "key.pem"
-        for_here = ("-days", "2", "-subj", "/CN=yard", "-addext", "subjectAltName=IP:127.0.0.1")
-        files = ("-keyout", str(key), "-out", str(self.certificate))
-        subprocess.run(
-            ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", *for_here, *files],
-            check=True,
-            capture_output=True,
-        )
-        passwords = folder / "passwords"
-        subprocess.run(["mosquitto_passwd", "-b", "-c", str(passwords), "bob", "s3cret"], check=True)
-        settings = {
-            "listener": f"{self.port} 127.0.0.1",
-            "certfile": self.certificate,
-            "keyfile": key,
-            "password_file": passwords,
-            "persistence": "true",
-            "persistence_location": f"{folder}/",
-            "user": pwd.getpwuid(os.getuid()).pw_name,
-        }
-        configuration = folder / "mosquitto.conf"
-        configuration.write_text("".join(f"{name} {value}\n" for name, value in settings.items()))
-        self._command = [program, "-c", str(configuration)]
-        self.begin()
-
-    def begin(self) -> None:
-        self._process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
-    def end(self) -> None:
-        self._process.terminate()
-        self._process.wait()
+    monkeypatch.setattr(carrier_module, "retry_seconds", lambda failures: 1e6)
+    broker = Mosquitto(tmp_path)
+    gate, said = recorded(tmp_path), list[str]()
+    with Deliveries([target_of(broker.url.replace("s3cret", "old"))], tmp_path, said.append) as deliveries:
+        write(gate, 0, 20)
+        wait_until(lambda: bool(said))
+        assert "Not authorized" in said[0]
+        deliveries.retarget([target_of(broker.url)])
+        gate.close(whole=True)
+    assert deliveries.backlogs()[0].waiting == 0
+    assert said[1:] == [f"Events are delivered to {deliveries.backlogs()[0].target} again."]
+    assert "s3cret" not in " ".join(said)
+    broker.end()
 
 
 def test_a_real_broker_gets_every_event_by_tls_though_it_was_away(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mqtt = pytest.importorskip("paho.mqtt.client")
-    broker = Mosquitto(tmp_path)
+    broker = Mosquitto(tmp_path, tls=True)
     monkeypatch.setenv("SSL_CERT_FILE", str(broker.certificate))
     received: list[str] = []
     subscriber = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, "subscriber", clean_session=False)
@@ -360,12 +273,11 @@ def test_a_real_broker_gets_every_event_by_tls_though_it_was_away(
     subscriber.reconnect_delay_set(0.1, 0.1)
     subscriber.on_connect = lambda client, *_: client.subscribe("yard/events", qos=1)
     subscriber.on_message = lambda _, __, message: received.append(json.loads(message.payload)["id"])
-    wait_until(lambda: _connects(subscriber, broker.port))
+    subscriber.connect("127.0.0.1", broker.port)
     subscriber.loop_start()
     said: list[str] = []
-    url = f"mqtts://bob:s3cret@127.0.0.1:{broker.port}/yard/events"
-    gate = StreamRecord(tmp_path / "gate", "gate", frozenset())
-    with Deliveries([parse_target(url)], tmp_path, said.append):
+    gate = recorded(tmp_path)
+    with Deliveries([target_of(broker.url)], tmp_path, said.append):
         write(gate, 0, 20)
         wait_until(lambda: received == ids(tmp_path / "gate"))
         broker.end()
@@ -381,28 +293,131 @@ def test_a_real_broker_gets_every_event_by_tls_though_it_was_away(
     assert "s3cret" not in " ".join(said)
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # paho leaves its socket open
-def test_a_broker_without_a_known_certificate_gets_nothing(tmp_path: Path) -> None:
-    pytest.importorskip("paho.mqtt.client")
-    broker = Mosquitto(tmp_path)
-    target = parse_target(f"mqtts://bob:s3cret@127.0.0.1:{broker.port}/yard/events")
-    wait_until(lambda: _listens(broker.port))
-    with pytest.raises(DeliveryError, match="certificate"):
-        open_sender(target).send(b"{}")
-    broker.end()
+def test_a_run_without_targets_keeps_no_outbox_and_a_later_one_sends_what_happens_from_then_on(
+    tmp_path: Path, webhook: Webhook
+) -> None:
+    gate = recorded(tmp_path)
+    with Deliveries([], tmp_path, print) as deliveries:
+        write(gate, 0, 40)
+        assert deliveries.backlogs() == []
+        assert not (tmp_path / OUTBOX).exists()
+        deliveries.retarget([target_of(webhook.url)])
+        first = len(ids(tmp_path / "gate"))
+        gate.close(whole=True)
+    assert webhook.ids == ids(tmp_path / "gate")[first:]
+    assert webhook.ids
 
 
-def _connects(subscriber: Any, port: int) -> bool:
-    try:
-        subscriber.connect("127.0.0.1", port)
-    except OSError:
-        return False
-    return True
+def test_an_event_has_the_addresses_of_its_picture_and_clip(tmp_path: Path, webhook: Webhook) -> None:
+    folder = tmp_path / "north gate"
+    folder.mkdir()
+    line = {"id": "a", "stream": "north gate", "kind": "entered", "number": 1}
+    files = {"picture": "events/00000032-1.jpg", "clip": "clips/00000032.mp4"}
+    lines = [line | files, line | {"id": "b", "number": 2, "picture": None}]
+    with Deliveries([target_of(webhook.url)], tmp_path, print, page="http://yard:9464/cameras/"):
+        (folder / "events.jsonl").write_text("".join(json.dumps(one) + "\n" for one in lines))
+    records = "http://yard:9464/cameras/records/north%20gate"
+    assert webhook.events[0]["picture_url"] == f"{records}/events/00000032-1.jpg"
+    assert webhook.events[0]["clip_url"] == f"{records}/clips/00000032.mp4"
+    assert not {"picture_url", "clip_url"} & webhook.events[1].keys()
 
 
-def _listens(port: int) -> bool:
-    try:
-        socket.create_connection(("127.0.0.1", port)).close()
-    except OSError:
-        return False
-    return True
+def test_a_thousand_events_a_minute_wait_and_arrive_in_order(tmp_path: Path, webhook: Webhook) -> None:
+    """Three cameras' minute, at once: nothing is lost or twice, and each stream is in order."""
+    webhook.away = True
+    with Deliveries([target_of(webhook.url)], tmp_path, print) as deliveries:
+        for stream in ("a", "b", "c"):
+            (tmp_path / stream).mkdir()
+        for number in range(1, 335):
+            for stream in ("a", "b", "c"):
+                event = {"id": f"{stream}/{number}", "stream": stream, "kind": "crossed", "number": number}
+                with (tmp_path / stream / "events.jsonl").open("a") as file:
+                    file.write(json.dumps(event) + "\n")
+        wait_until(lambda: deliveries.backlogs()[0].waiting == 1002)
+        webhook.away = False
+    for stream in ("a", "b", "c"):
+        arrived = [one for one in webhook.ids if one.startswith(stream)]
+        assert arrived == [f"{stream}/{number}" for number in range(1, 335)]
+
+
+def test_a_damaged_outbox_is_put_aside_and_the_run_goes_on(tmp_path: Path, webhook: Webhook) -> None:
+    (tmp_path / OUTBOX).write_bytes(b"no database at all " * 1000)
+    said: list[str] = []
+    gate = recorded(tmp_path)
+    with Deliveries([target_of(webhook.url)], tmp_path, said.append):
+        write(gate, 0, 20)
+        gate.close(whole=True)
+    assert webhook.ids == ids(tmp_path / "gate")
+    assert "is damaged and was renamed" in said[0]
+    (tmp_path / OUTBOX).unlink()
+    (tmp_path / OUTBOX).mkdir()
+    with (
+        pytest.raises(ConfigError, match="cannot be used"),
+        Deliveries([parse_target(webhook.url)], tmp_path, print),
+    ):
+        pass
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from orchestrator.events import carrier
+from orchestrator.events.delivery import Deliveries
+from orchestrator.events.targets import parse_target
+carrier.retry_seconds = lambda failures: 0.02
+with Deliveries([parse_target(sys.argv[2])], Path(sys.argv[1]), print):
+    sys.stdin.read()
+"""
+
+
+class Killer(Webhook):
+    """Kills who has sent it so many events, as soon as the last of them is answered."""
+
+    def __init__(self) -> None:
+        self.victim: subprocess.Popen[bytes] | None = None
+        self.events_left = 0
+        super().__init__()
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close the connection of an event that was answered."""
+        super().shutdown_request(request)
+        self.events_left -= 1
+        if self.victim is not None and self.events_left == 0:
+            self.victim.send_signal(signal.SIGKILL)
+
+
+def test_a_kill_just_after_an_answer_loses_nothing_and_repeats_that_event_at_most(tmp_path: Path) -> None:
+    server, number, kills = Killer(), 0, (1, 4, 9, 2)
+    folder = tmp_path / "gate"
+    folder.mkdir()
+    with Deliveries([parse_target(server.url)], tmp_path, print):
+        pass  # from now on events are for it
+    for server.events_left in kills:
+        command = [sys.executable, "-c", PROGRAM, str(tmp_path), server.url]
+        with subprocess.Popen(command, stdin=subprocess.PIPE) as server.victim:
+            for _ in range(10):
+                number += 1
+                event = {"id": f"{number:03}", "stream": "gate", "kind": "crossed", "number": number}
+                with (folder / "events.jsonl").open("a") as file:
+                    file.write(json.dumps(event) + "\n")
+            assert server.victim.wait() == -signal.SIGKILL
+    server.victim = None
+    with Deliveries([parse_target(server.url)], tmp_path, print):
+        pass
+    server.stop()
+    assert list(dict.fromkeys(server.ids)) == [f"{one:03}" for one in range(1, number + 1)]
+    assert server.ids == sorted(server.ids)  # what comes again comes at once
+    assert len(server.ids) - number <= len(kills)
+
+
+def test_an_end_waits_for_all_targets_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(delivery_module, "_GRACE_SECONDS", 0.2)
+    away = [Webhook() for _ in range(3)]
+    for server in away:
+        server.away = True
+    gate, said = recorded(tmp_path), list[str]()
+    with Deliveries([target_of(server.url) for server in away], tmp_path, said.append):
+        write(gate, 0, 20)
+    assert sum("could not be delivered" in words for words in said) == 3
+    for server in away:
+        server.stop()

@@ -73,6 +73,7 @@ def test_a_line_holds_what_happened(whole: bytes) -> None:
         "box": [6, 5, 8, 10],
         "zone": "middle",
         "direction": None,
+        "dropped_share": None,
         "rule": None,
         "objects": None,
         "score": 0.5,
@@ -81,6 +82,7 @@ def test_a_line_holds_what_happened(whole: bytes) -> None:
         "reason": None,
         "replaced_by": None,
         "picture": "events/00000008-3.jpg",
+        "clip": None,
         "number": 3,
     }
     assert [one["number"] for one in said] == [*range(1, len(said) + 1)]
@@ -290,6 +292,7 @@ def test_a_rule_has_a_line_of_its_own_with_a_picture(tmp_path: Path) -> None:
         "box": [11, 5, 8, 10],
         "zone": "middle",
         "direction": None,
+        "dropped_share": None,
         "rule": "stays at noon",
         "objects": [3],
         "score": 0.5,
@@ -298,6 +301,7 @@ def test_a_rule_has_a_line_of_its_own_with_a_picture(tmp_path: Path) -> None:
         "reason": None,
         "replaced_by": None,
         "picture": "events/00000011-3.jpg",
+        "clip": None,
         "number": 0,
     }
     assert second["frame"] == 71
@@ -340,3 +344,20 @@ def test_marks_of_an_earlier_version_are_gone_on_from(tmp_path: Path, whole: byt
     again.close(whole=True)
     masks = {"score": None, "area": None}  # of an object that is away, the newest mask is not known
     assert [one | masks for one in lines(tmp_path)] == [json.loads(one) | masks for one in whole.splitlines()]
+
+
+def test_of_the_chosen_kinds_each_event_names_a_clip_of_its_own_and_always_the_same(tmp_path: Path) -> None:
+    rules = replace(RULES, clips=frozenset({"entered", "left"}))
+    for folder in (tmp_path / "once", tmp_path / "again"):
+        one = record(folder, rules=rules)
+        write(one, 0, 60)
+        one.close(whole=True)
+    said = lines(tmp_path / "once")
+    clips = [event["clip"] for event in said if event["clip"] is not None]
+    assert {event["kind"] for event in said if event["clip"] is not None} == {"entered", "left"}
+    assert len(set(clips)) == len(clips) > 3
+    assert [event["clip"] for event in lines(tmp_path / "again")] == [event["clip"] for event in said]
+
+
+def test_whether_events_have_clips_makes_no_other_rules(tmp_path: Path) -> None:
+    assert replace(RULES, clips=frozenset({"entered"})).digest == RULES.digest

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from http.client import HTTPConnection, HTTPResponse
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Literal
 
@@ -16,11 +17,13 @@ import cv2
 import numpy as np
 import pytest
 from chromium import open_page
+from coded_video import write_video
 from record_fakes import frame, segmentation
 
 from mlbs_actors.actors.stream.protocol import StreamProgress
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.source import SourceSilence
+from orchestrator.counts.stream_counts import StreamCounts
 from orchestrator.events.delivery import Backlog
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
@@ -31,10 +34,14 @@ from orchestrator.run.stream_state import StateName, StreamState, after_progress
 from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path, watch
 from orchestrator.sinks.record import StreamRecord
+from orchestrator.sinks.still import Still
 
 ROOT = Path(__file__).resolve().parents[3]
 TOKEN = "a-token-of-the-tests"
 HERE = MonitorAddress("127.0.0.1", 0)
+COUNTS = StreamCounts(
+    objects=2, zones={'the "yard"': 1}, crossings={"fence": {"left": 3, "right": 0}}, events={"entered": 4}
+)
 STATES = [
     StreamState("yard", "running", read=20, committed=8, layers=3, frames_per_second=4.25, latency_ms=312.4),
     StreamState("<b>", "failed", error="The file <is> gone."),
@@ -144,12 +151,16 @@ def test_grafanas_board_asks_for_all_that_the_page_serves_and_nothing_else() -> 
     text = (ROOT / "configs/grafana.json").read_text(encoding="utf-8")
     panels = json.loads(text)["panels"]
     queries = [target["expr"] for panel in panels for target in panel["targets"]]
-    page = MetricsText()(STATES, [Backlog("mqtt://broker/***", 3, None)])
+    page = MetricsText()(STATES, [Backlog("mqtt://broker/***", 3, None)], {"yard": COUNTS})
     served = set(re.findall(r"^# TYPE (\S+)", page, re.MULTILINE))
     assert {name for query in queries for name in re.findall(r"mlbs_\w+", query)} == served
     assert set(re.findall(r"mlbs_\w+", text)) == served  # those that the choice of streams asks for too
     labels = set(re.findall(r"(\w+)=\"", page))
-    assert set(re.findall(r"\{\{(\w+)\}\}", text)) == labels == {"stream", "state", "target"}
+    assert (
+        set(re.findall(r"\{\{(\w+)\}\}", text))
+        == labels
+        == {*("stream", "state", "target", "zone", "line", "direction", "kind")}
+    )
     assert len({panel["id"] for panel in panels}) == len(panels)
 
 
@@ -192,10 +203,178 @@ def test_the_status_has_the_last_events_and_the_page_their_pictures(
     assert yard["events"] == [json.loads(line) for line in written[-10:]]
     pictures = [event["picture"] for event in yard["events"] if event["picture"] is not None]
     assert pictures
-    answer, body = get(url, f"/streams/yard/{pictures[-1]}")
+    answer, body = get(url, f"/records/yard/{pictures[-1]}")
     assert (answer.status, answer.getheader("Content-Type"), body[:2]) == (200, "image/jpeg", b"\xff\xd8")
     for path in ("yard/events/../events.jsonl", "yard/events/nothing.jpg", "nobody/" + pictures[-1], "yard"):
-        assert get(url, f"/streams/{path}")[0].status == 404
+        assert get(url, f"/records/{path}")[0].status == 404
+
+
+CLIP = "clips/00000012-0123abcd.mp4"
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> bytes:
+    path = tmp_path / "out/yard" / CLIP
+    path.parent.mkdir(parents=True)
+    return write_video(path, 6).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("asked", "status", "expected"),
+    [
+        (None, 200, slice(None)),
+        ("bytes=0-", 206, slice(None)),
+        ("bytes=10-19", 206, slice(10, 20)),
+        ("bytes=-7", 206, slice(-7, None)),
+        ("bytes=100-999999", 206, slice(100, None)),
+        ("bytes=0-1,5-6", 200, slice(None)),
+        ("pages=1-2", 200, slice(None)),
+        ("bytes=-", 200, slice(None)),
+    ],
+)
+def test_a_player_gets_the_part_of_a_clip_that_it_asks_for(
+    url: str, clip: bytes, asked: str | None, status: int, expected: slice
+) -> None:
+    answer, body = get(url, f"/records/yard/{CLIP}", **({} if asked is None else {"Range": asked}))
+    assert (answer.status, body) == (status, clip[expected])
+    assert answer.getheader("Content-Type") == "video/mp4"
+    assert answer.getheader("Accept-Ranges") == "bytes"
+    first, last, _ = expected.indices(len(clip))
+    whole = f"bytes {first}-{last - 1}/{len(clip)}"
+    assert answer.getheader("Content-Range") == (whole if status == 206 else None)
+
+
+def test_a_part_that_a_clip_does_not_have_is_refused(url: str, clip: bytes) -> None:
+    for asked in (f"bytes={len(clip)}-", "bytes=9-3", "bytes=-0"):
+        answer, body = get(url, f"/records/yard/{CLIP}", Range=asked)
+        assert (answer.status, body) == (416, b"")
+        assert answer.getheader("Content-Range") == f"bytes */{len(clip)}"
+
+
+def test_nothing_but_pictures_and_clips_of_its_streams_is_served(
+    url: str, clip: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "out/other/clips").mkdir(parents=True)
+    (tmp_path / "out/other" / CLIP).write_bytes(b"of no stream of this run")
+    (tmp_path / "out/yard/events.jsonl").write_bytes(b"lines")
+    name = CLIP.removeprefix("clips/")
+    for path in (
+        "yard/events.jsonl",
+        "yard/clips/",
+        "yard/clips/../events.jsonl",
+        "yard/clips/%2e%2e/events.jsonl",
+        f"other/{CLIP}",
+        f"yard/../other/{CLIP}",
+        f"yard%2f..%2fother/{CLIP}",
+        f"yard/events/{name}",
+        "yard/clips/00000013-0123abcd.mp4",
+        f"yard//clips/{name}",
+        "yard",
+        "",
+    ):
+        assert get(url, f"/records/{path}")[0].status == 404, path
+    assert get(url, f"/{CLIP}")[0].status == 404
+
+
+def test_clips_and_stills_need_the_token_as_the_page_does(
+    board: Board, clip: bytes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv(TOKEN_VARIABLE, TOKEN)
+    (tmp_path / "out/yard/still.jpg").write_bytes(b"a picture")
+    with serving(HERE, board) as url:
+        for path in (f"/records/yard/{CLIP}", "/stills/yard.jpg"):
+            assert get(url, path)[0].status == 401
+            assert get(url, path, Authorization=f"Bearer {TOKEN}")[0].status == 200
+
+
+def test_a_still_is_served_and_a_newer_one_asked_for(url: str, tmp_path: Path) -> None:
+    assert get(url, "/stills/yard.jpg")[0].status == 404  # there is none yet
+    folder = tmp_path / "out/yard"
+    still = Still(folder.parent / "yard", lambda: 0.0)
+    folder.mkdir(parents=True)
+    still.show(np.zeros((48, 64, 3), np.uint8))
+    answer, body = get(url, "/stills/yard.jpg")
+    assert (answer.status, answer.getheader("Content-Type"), body[:2]) == (200, "image/jpeg", b"\xff\xd8")
+    assert (folder / ".still-asked").exists()
+    for path in ("/stills/nobody.jpg", "/stills/yard", "/stills/../out/yard.jpg", "/stills/yard.jpg.jpg"):
+        assert get(url, path)[0].status == 404
+
+
+_PLAYER = """<body><video muted src="{address}"></video><script>
+const film = document.querySelector("video"), said = document.createElement("p");
+document.body.append(said);
+film.onloadedmetadata = () => {{ film.currentTime = 4.4; }};
+film.onseeked = () => {{
+  said.textContent = `${{film.duration}} s, ${{film.videoWidth}} px, at ${{film.currentTime}} s`;
+}};
+film.onerror = () => {{ said.textContent = film.error.message; }};
+</script>"""
+
+
+def test_a_browser_plays_a_clip_from_any_time(url: str, clip: bytes) -> None:
+    page = _PLAYER.format(address=f"{url}records/yard/{CLIP}").encode()
+
+    class Pages(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(page)
+
+        def log_message(self, *_: object) -> None:
+            """Say nothing."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Pages) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        opened = open_page(f"http://127.0.0.1:{server.server_port}/", seconds=10)
+        server.shutdown()
+    assert "6 s, 64 px, at 4.4 s" in opened.document
+
+
+def test_the_page_has_an_events_picture_and_its_clip(
+    board: Board, clip: bytes, url: str, tmp_path: Path
+) -> None:
+    picture = "events/00000012-3.jpg"
+    line = {"id": "a", "kind": "entered", "clock": None, "time": 1.2, "object": 3, "zone": "here"}
+    line |= {"direction": None, "picture": picture, "clip": CLIP}
+    (tmp_path / "out/yard/events.jsonl").write_text(json.dumps(line) + "\n")
+    page = open_page(url, seconds=3)
+    assert f'src="records/yard/{picture}"' in page.document
+    assert f'href="records/yard/{CLIP}"' in page.document
+
+
+@pytest.fixture
+def counted(board: Board, tmp_path: Path) -> Path:
+    """A record in which an object walks through a zone and over a line."""
+    there = Zone(name="here", polygon=((0, 0), (1, 0), (1, 1), (0, 1)))
+    fence = Zone(name="fence", kind="line", polygon=((0.3, 0), (0.3, 1)))
+    folder = tmp_path / "out/yard"
+    record = StreamRecord(folder, "yard", frozenset(), rules=EventRules((there, fence)))
+    for index in range(30):
+        record.write(segmentation(index, 3), frame(index))
+    record.close(whole=False)
+    return folder
+
+
+def test_prometheus_gets_what_is_counted_of_zones_lines_and_events(counted: Path, url: str) -> None:
+    samples = dict(line.rsplit(" ", 1) for line in get(url, "/metrics")[1].decode().splitlines())
+    assert samples['mlbs_zone_objects{stream="yard",zone="here"}'] == "1"
+    assert samples['mlbs_line_crossings_total{stream="yard",line="fence",direction="left"}'] == "1"
+    assert samples['mlbs_events_total{stream="yard",kind="entered"}'] == "1"
+
+
+def test_the_page_gets_the_rows_of_the_last_hours_and_the_heat_map(counted: Path, url: str) -> None:
+    yard, *others = json.loads(get(url, "/status.json")[1])["streams"]
+    assert yard["counts"] is not None
+    assert [one["counts"] for one in others] == [None, None]
+    counts = json.loads(get(url, "/streams/yard/counts.json")[1])
+    assert [(row["place"], row["kind"]) for row in counts["hours"]] == [
+        ("", "picture"),
+        ("fence", "line"),
+        ("here", "zone"),
+    ]
+    assert sum(counts["heat"]["label_maps"]) == 30
+    assert get(url, "/streams/nobody/counts.json")[0].status == 404
 
 
 def test_other_viewers_get_the_pictures_as_motion_jpeg_until_the_stream_ends(
@@ -360,6 +539,27 @@ def test_a_record_shows_its_frames_and_no_trouble_with_that_reaches_it(tmp_path:
 
 
 @pytest.mark.long
+def test_a_browser_draws_the_counts_when_they_are_opened(
+    counted: Path, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = 'copy.querySelector(".counts").open = true;'
+    script = (
+        (ROOT / "orchestrator/monitor/monitor.js")
+        .read_text()
+        .replace("list.append(copy);", opened + "list.append(copy);")
+    )
+    (counted.parent / "monitor.js").write_text(script)
+    for name in ("page.html", "monitor.css"):
+        (counted.parent / name).write_bytes((ROOT / "orchestrator/monitor" / name).read_bytes())
+    monkeypatch.setattr("orchestrator.monitor.server._FOLDER", counted.parent)
+    page = open_page(url, seconds=3)
+    assert page.console == []
+    assert 'aria-label="fence: to the left 1, to the right 0; at most 1 an hour"' in page.document
+    assert "<title>hour 0: 1 entered</title>" in page.document
+    assert re.search(r'aria-label="Cells in which objects stood: \d+ of 2304"', page.document)
+
+
+@pytest.mark.long
 def test_a_browser_shows_every_stream_without_complaint(url: str) -> None:
     page = open_page(url, seconds=3)
     assert page.console == []
@@ -397,5 +597,5 @@ def test_a_browser_shows_fifty_streams_with_their_events(
     assert page.console == []
     assert len(re.findall("<article", page.document)) == 51  # with that of the template
     assert page.document.count("1.3 s: 4 entered yard") == 100
-    loaded = len(re.findall(r' src="/pictures/\d+\.jpg', page.document))
+    loaded = len(re.findall(r' src="pictures/\d+\.jpg', page.document))
     assert 0 < loaded < 50  # those in sight

@@ -17,6 +17,7 @@ from record_fakes import EVERYTHING, HEIGHT, WIDTH, frame, segmentation, write_r
 
 from mlbs_actors.messages import Region, Segmentation
 from mlbs_actors.source import SourceFrame
+from orchestrator.events.zones import EventRules, Zone
 from orchestrator.report.__main__ import main
 from orchestrator.report.charts import object_count_chart, timeline_chart
 from orchestrator.report.history import frame_ranges, read_history
@@ -51,6 +52,26 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "a<b>").mkdir()
     write_run(folder, states)
     return folder
+
+
+# What was counted
+
+
+def test_the_page_draws_the_counts_of_every_place_and_where_objects_stood(tmp_path: Path) -> None:
+    yard = Zone(name="the <yard>", polygon=((0, 0), (1, 0), (1, 1), (0, 1)))
+    fence = Zone(name="fence", kind="line", polygon=((0.3, 0), (0.3, 1)))
+    record = StreamRecord(tmp_path / "yard", "yard", EVERYTHING, rules=EventRules((yard, fence)))
+    for index in range(40):
+        record.write(segmentation(index, 3), replace(frame(index), pts=300.0 * index))
+    state = StreamState("yard", "done", read=40, committed=record.close(whole=True))
+    write_run(tmp_path, [state])
+    page = render_report(tmp_path)
+    labels = [attributes["aria-label"] or "" for attributes in Tags(page).of("svg")]
+    assert "the <yard> by the hour: entered 1; at most 1 an hour" in labels
+    assert "fence by the hour: to the left 1, to the right 1; at most 1 an hour" in labels
+    assert any(re.fullmatch(r"Cells in which objects stood: \d+ of 2304", label) for label in labels)
+    assert "<title>hour 0: 1 entered</title>" in page
+    assert 'href="yard/counts.csv"' in page
 
 
 # What the tables tell

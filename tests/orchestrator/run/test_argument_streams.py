@@ -78,6 +78,8 @@ def test_sources_of_one_name_are_numbered_beside_those_of_the_list() -> None:
         (".hidden.mp4", "hidden"),
         ("run.json.mp4", "run.json-2"),
         ("a\\b\n.mp4", "a-b-"),
+        ("./12:30 gate.mp4", "12-30 gate"),
+        ("gate. .mp4", "gate"),
         ("/dev/video0", "video0"),
         ("synthetic:crossing", "crossing"),
         ("é" * 80 + ".mp4", "é" * ((MAX_NAME_BYTES - 6) // 2)),

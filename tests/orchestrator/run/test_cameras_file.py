@@ -113,6 +113,12 @@ def test_a_file_without_streams_or_with_one_twice_is_refused(tmp_path: Path, tex
         read(tmp_path, text)
 
 
+def test_of_names_that_differ_only_in_case_the_second_is_told(tmp_path: Path) -> None:
+    parsed = read(tmp_path, "streams:\n  Gate: http://cam/1\n  gate: http://cam/2\n")
+    assert [one.name for one in parsed.streams] == ["Gate"]
+    assert parsed.faults == {3: "some disks take 'gate' for 'Gate'; choose another name"}
+
+
 @pytest.mark.parametrize(
     ("before", "after", "effects"),
     [

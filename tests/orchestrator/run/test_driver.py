@@ -16,7 +16,7 @@ import pytest
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ActorLostError, NoPlaceError, SourceError
-from mlbs_actors.source import SourceSilence
+from mlbs_actors.source import FrameReader, SourceSilence
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.run import driver as driver_module
 from orchestrator.run.admission import by_count
@@ -71,6 +71,7 @@ class FakeStream:
     on_advance: Callable[[], None] = lambda: None
     node: str | None = None
     settings: list[object] = field(default_factory=list)
+    readers: list[Callable[[], FrameReader]] = field(default_factory=list)
 
     def advance(self) -> Future[StreamProgress]:
         assert not self.stops, "advanced after its end"
@@ -82,6 +83,9 @@ class FakeStream:
         else:
             future.set_result(progress(self.read, done=self.read == self.frames, problem=self.problem))
         return future
+
+    def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
+        self.readers.append(open_reader)
 
     def configure(self, settings: object) -> None:
         self.settings.append(settings)
@@ -884,3 +888,30 @@ def test_a_renamed_stream_begins_once_the_one_before_has_ended() -> None:
     driver.run()
     assert told == [[True]]
     assert [state.name for state in driver.states] == ["road"]
+
+
+def test_a_camera_that_is_elsewhere_now_is_read_there_by_the_processes_that_it_has() -> None:
+    camera, interruption = FakeStream(10**9), Interruption()
+
+    def elsewhere() -> FrameReader:
+        raise AssertionError("the driver must not open sources")
+
+    left = [SpecChange(reopened=(replace(spec("camera"), open_reader=elsewhere, live=True),))]
+
+    def changes() -> SpecChange | None:
+        if camera.readers and camera.read >= 40:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and camera.read >= 20 else None
+
+    host = FakeHost({"camera": camera})
+    driver = Driver(
+        [replace(spec("camera"), live=True)],
+        host,
+        admission=by_count(1),
+        observers=[],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert camera.readers == [elsewhere]
+    assert host.started == ["camera"]

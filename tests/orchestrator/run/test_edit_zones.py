@@ -174,7 +174,7 @@ def styled(content: object, style: str) -> str:
     return "# first\n" + text.replace("/dev/video1\n", "/dev/video1  # here\n    # below\n") + "# last"
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(
     st.dictionaries(
         st.sampled_from(["gate", "la ne", "Hof:1", "'q'", "ü#"]),

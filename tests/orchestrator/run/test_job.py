@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -9,12 +10,15 @@ import pytest
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import parse
+from orchestrator.events.delivery import Deliveries
 from orchestrator.events.zones import EventRules
+from orchestrator.options import Arguments
 from orchestrator.pictures.privacy import is_private
 from orchestrator.run import file_watch
 from orchestrator.run.argument_streams import argument_streams
 from orchestrator.run.edited_files import newest_version
 from orchestrator.run.job import Job
+from orchestrator.run.listed_stream import StreamsFile
 from orchestrator.run.run_folder import RunFolder, read_description
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.sinks.private_record import PrivateRecord
@@ -23,6 +27,13 @@ ZONES = """streams:
   a: {zones: [{name: yard, polygon: [[0, 0], [1, 0], [1, 1]]}]}
   b: {zones: [{name: lawn, polygon: [[0, 0], [1, 0], [1, 1]]}]}
 """
+
+
+def job_of(
+    listed: StreamsFile, arguments: Arguments, folder: Path, say: Callable[[str], None] = print
+) -> Job:
+    deliveries = Deliveries((), folder, say)
+    return Job(listed, arguments, Config(), RunFolder(folder), None, say, deliveries)
 
 
 def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed(
@@ -34,8 +45,7 @@ def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed
     listed.write_text("a synthetic:demo\nb synthetic:demo\n")
     words = ["--streams", str(listed), "--zones", str(file), "--output", str(output), "--watch"]
     said: list[str] = []
-    streams = read_stream_list(listed).streams
-    job = Job(streams, parse(words), Config(), RunFolder(output), None, said.append)
+    job = job_of(read_stream_list(listed), parse(words), output, said.append)
     output.mkdir()
     assert [job.changes() for _ in range(3)] == [None] * 3
 
@@ -75,7 +85,7 @@ def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed
 def test_the_record_of_a_private_run_gets_blurred_pictures_only(tmp_path: Path, side: list[str]) -> None:
     arguments = parse(["demo", "--private", *side, "--output", str(tmp_path / "out")])
     streams = argument_streams(arguments.sources)
-    job = Job(streams, arguments, Config(), RunFolder(tmp_path / "out"), None, print)
+    job = job_of(StreamsFile(streams, {}), arguments, tmp_path / "out")
     [spec] = job.specs
     assert isinstance(spec.open_sink(), PrivateRecord)
     assert is_private(job.description)
@@ -84,8 +94,8 @@ def test_the_record_of_a_private_run_gets_blurred_pictures_only(tmp_path: Path, 
 def test_what_was_not_private_does_not_become_so(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "out")
     folder.path.mkdir()
-    plain = Job([], parse(["demo"]), Config(), folder, None, print).description
-    hidden = Job([], parse(["demo", "--private"]), Config(), folder, None, print).description
+    plain = job_of(StreamsFile((), {}), parse(["demo"]), folder.path).description
+    hidden = job_of(StreamsFile((), {}), parse(["demo", "--private"]), folder.path).description
     with pytest.raises(ConfigError, match="--private"):
         folder.refuse_other(plain, hidden)
     with pytest.raises(ConfigError, match="--save cutouts"):

@@ -23,7 +23,7 @@ class Watched:
         self.records = {name: str(folder / f"{name}.mp4") for name in ("a", "b")}
         self.watch = ListWatch(
             self.path,
-            read_stream_list(self.path).streams,
+            read_stream_list(self.path),
             self.records.get,
             self.told.append,
             clock=lambda: self.now,

@@ -6,7 +6,9 @@ import json
 import resource
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from record_fakes import write_run
@@ -17,8 +19,13 @@ from orchestrator.command import run_command
 from orchestrator.command_line import command_again, parse
 from orchestrator.disk_use import bytes_by_kind, stream_use
 from orchestrator.disk_use import main as disk_use
+from orchestrator.events import carrier as carrier_module
 from orchestrator.events import delivery as delivery_module
-from orchestrator.events.delivery import Delivery
+from orchestrator.events.delivery import Deliveries
+from orchestrator.events.event import EventKind
+from orchestrator.events.event_filter import EventFilter
+from orchestrator.events.senders import DeliveryError, Webhook
+from orchestrator.events.targets import EventTarget, parse_target
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.export.recorded_stream import recorded_stream
 from orchestrator.report.page import render_report
@@ -175,33 +182,37 @@ def test_events_of_what_is_deleted_go_and_the_others_are_delivered(
 ) -> None:
     monkeypatch.setattr(delivery_module, "_LOOK_SECONDS", 0.01)
     monkeypatch.setattr(delivery_module, "_GRACE_SECONDS", 200.0)  # until all is delivered
-    sent: list[int] = []
+    monkeypatch.setattr(carrier_module, "retry_seconds", lambda failures: 0.01)
+    sent: dict[str, list[int]] = {"here": [], "away": []}
+    is_back = False
 
-    class Target:
+    class Target(Webhook):
+        def __init__(self, target: EventTarget) -> None:
+            self.name = target.url.rpartition("/")[2]
+
         def send(self, event: bytes) -> None:
-            sent.append(json.loads(event)["number"])
+            if self.name == "away" and not is_back:
+                raise DeliveryError("it is away")
+            sent[self.name].append(json.loads(event)["number"])
 
-        def close(self) -> None:
-            return
-
+    monkeypatch.setattr(carrier_module, "Webhook", Target)
     here = Zone(name="here", polygon=((0, 0), (1, 0), (1, 1), (0, 1)), fixed_to="scene")
     camera = Camera(tmp_path / "gate", TABLES, rules=EventRules((here,)))
-    delivery = Delivery("target", "key", Target, tmp_path, lambda text: None)
-    delivery.start()
-    camera.send(250)
-    keeping(tmp_path, "1m", now=75)
-    camera.send(470)
-    lines = [json.loads(line) for line in (tmp_path / "gate/events.jsonl").read_text().splitlines()]
-    delivery.close()
-    assert delivery.backlog().waiting == 0
-    behind = Delivery("target", "other key", Target, tmp_path, lambda text: None)
-    assert behind.backlog().waiting == len(lines)
+    wanted = EventFilter(kinds=get_args(EventKind))
+    targets = [replace(parse_target(f"http://host/{name}"), wanted=wanted) for name in sent]
+    with Deliveries(targets, tmp_path, lambda text: None) as deliveries:
+        camera.send(250)
+        keeping(tmp_path, "1m", now=75)
+        camera.send(470)
+        lines = [json.loads(line) for line in (tmp_path / "gate/events.jsonl").read_text().splitlines()]
+        while [backlog.waiting for backlog in deliveries.backlogs()] != [0, len(lines)]:
+            time.sleep(0.01)
+        is_back = True
     assert lines[0]["frame"] >= 100
     assert [one["number"] for one in lines] == [*range(lines[0]["number"], lines[-1]["number"] + 1)]
-    assert sent == sorted(set(sent))
-    assert sent[-1] == lines[-1]["number"]
-    [position] = [json.loads(path.read_text())["gate"] for path in tmp_path.glob(".delivered-*")]
-    assert position["number"] + len(position["ids"]) == sent[-1]
+    assert sent["here"] == sorted(set(sent["here"]))
+    assert sent["here"][-1] == lines[-1]["number"]
+    assert sent["away"] == [one["number"] for one in lines]
     pictures = {f"events/{path.name}" for path in (tmp_path / "gate/events").iterdir()}
     assert pictures == {one["picture"] for one in lines} - {None}
     assert (tmp_path / "gate/.views/00000000.npz").exists()  # the scene is still found by it

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import threading
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -311,3 +312,17 @@ def test_a_user_is_sent_to_all_videos_of_a_stream_or_to_its_masks(tmp_path: Path
     assert what_to_look_at(tmp_path, frozenset({"masks"})) == str(tmp_path / "overlay.mp4")
     (tmp_path / "overlay-00000120.mp4").touch()
     assert what_to_look_at(tmp_path, frozenset({"masks"})) == f"{tmp_path / 'overlay*.mp4'} (2 parts)"
+
+
+def test_a_status_says_until_when_its_run_is_alive_also_when_nothing_changes(tmp_path: Path) -> None:
+    now, alive = [0.0], []
+    status = StatusFile(tmp_path / "status.json", lambda: now[0])
+    for second in range(3):
+        now[0] = float(second)
+        status.update([StreamState("door")])
+        written = json.loads((tmp_path / "status.json").read_text())
+        alive.append(written["alive_until"])
+        assert datetime.fromisoformat(written["alive_until"]) > datetime.fromisoformat(written["updated"])
+    assert sorted(set(alive)) == alive
+    status.finish([StreamState("door", "done")], 0)
+    assert json.loads((tmp_path / "status.json").read_text())["alive_until"] is None

@@ -185,6 +185,17 @@ def test_a_name_that_comes_twice_is_refused_and_says_where_it_was(tmp_path: Path
     assert "NAME SOURCE" in message
 
 
+def test_names_that_differ_only_in_case_are_refused_as_some_disks_take_them_for_one(tmp_path: Path) -> None:
+    message = refusal(tmp_path, "Gate synthetic:no-mover\ngate synthetic:pan\n")
+    assert "line 2: the name 'gate' is taken by line 1 (upper and lower case are alike)" in message
+
+
+@pytest.mark.parametrize("name", ["12:30", "gate?", "a|b", "'gate.'"])
+def test_a_name_that_not_every_disk_can_store_is_refused_with_what_to_do(tmp_path: Path, name: str) -> None:
+    message = refusal(tmp_path, f"{name} synthetic:no-mover\n")
+    assert "which not every disk can store; choose another name" in message
+
+
 @pytest.mark.parametrize("text", ["", "\n\n", "# nothing\n"])
 def test_an_empty_list_is_refused(tmp_path: Path, text: str) -> None:
     assert "no stream" in refusal(tmp_path, text)

@@ -270,12 +270,15 @@ def test_files_are_synced_and_renamed_before_their_line_is_written(
     record = fill(tmp_path / "yard", 2, frozenset({"masks"}))
     steps.clear()
     record.close(whole=True)
-    assert steps[:9] == [
+    counts = ("counts.csv", "counts.parquet", "counts.json")
+    assert steps[:15] == [
         f"sync {durable_files.temporary_path(Path('img000.png'))}",
         f"sync {durable_files.temporary_path(Path('img001.png'))}",
+        *(f"sync {durable_files.temporary_path(Path(name))}" for name in counts),
         f"sync {durable_files.temporary_path(Path('.events'))}",
         "rename img000.png",
         "rename img001.png",
+        *(f"rename {name}" for name in counts),
         "rename .events",
         "sync yard",
         "sync masks",
@@ -291,6 +294,9 @@ def test_only_what_was_asked_for_is_written(tmp_path: Path) -> None:
         ".generation",
         ".lock",
         "commits.jsonl",
+        "counts.csv",
+        "counts.json",
+        "counts.parquet",
         "events.jsonl",
         "masks",
     ]
@@ -299,6 +305,9 @@ def test_only_what_was_asked_for_is_written(tmp_path: Path) -> None:
         ".generation",
         ".lock",
         "commits.jsonl",
+        "counts.csv",
+        "counts.json",
+        "counts.parquet",
         "events.jsonl",
         "frames-00000000.parquet",
         "layers-00000000.parquet",
@@ -311,7 +320,7 @@ def test_two_records_of_the_same_frames_have_the_same_bytes(tmp_path: Path) -> N
     fill(tmp_path / "a", 40, frozenset({"masks", "parquet"})).close(whole=True)
     fill(tmp_path / "b", 40, frozenset({"masks", "parquet"})).close(whole=True)
     names = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*") if path.is_file())
-    assert len(names) == 40 + 3 * 2 + 2 + 2 + 3
+    assert len(names) == 40 + 3 * 2 + 2 + 2 + 3 + 3
     for name in names:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
 

@@ -1,0 +1,208 @@
+"""A day's life of three cameras, of which an operator changes everything while they run.
+
+Prints how long each change took until it was seen to have an effect; with ``-s`` it is shown.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from moving_cameras import MovingCameras, moving_cameras
+
+from chaos.harness.webhook import Webhook
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+#: Longest wait for anything, s: a machine that does other things, too, is slow.
+PATIENCE = 120.0
+
+ZONES = "[{{name: {}, polygon: [[0.3, 0], [0.7, 0], [0.7, 1], [0.3, 1]]}}]"
+
+
+class Day:
+    """The file of cameras, the command that follows it, and what it has written."""
+
+    def __init__(self, folder: Path, cameras: MovingCameras, targets: str) -> None:
+        self.file, self.output = folder / "cameras.yaml", folder / "out"
+        self._cameras = cameras
+        self.streams: dict[str, dict[str, str]] = {}
+        self.targets = targets
+        self.table: list[tuple[float, str]] = []
+        self._errors = folder / "stderr"
+        self.process: subprocess.Popen[bytes]
+
+    def start(self) -> None:
+        """Start the command, for the first time or once more."""
+        command = ["--streams", self.file, "--watch", "--resume", "--output", self.output, "--places", "6"]
+        with self._errors.open("ab") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "orchestrator", *map(str, command)],
+                cwd=REPOSITORY,
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                start_new_session=True,
+            )
+
+    def stop(self, number: int) -> int:
+        """Send the command a signal; return its status."""
+        self.process.send_signal(number)
+        return self.process.wait(PATIENCE)
+
+    def write(self, mistake: str = "") -> None:
+        """Write the file of cameras, as an editor does."""
+        lines = ["events:", f"  - url: {self.targets}", "streams:"]
+        for name, keys in self.streams.items():
+            lines += [f"  {name}:", *(f"    {key}: {value}" for key, value in keys.items())]
+        draft = self.file.with_suffix(".part")
+        draft.write_text("\n".join([*lines, mistake]) + "\n")
+        draft.replace(self.file)
+
+    def state(self, name: str) -> dict[str, Any]:
+        """Return what the status says of a stream."""
+        status = json.loads((self.output / "status.json").read_text())
+        found: dict[str, Any] = status["streams"].get(name, {"state": None, "read": 0})
+        return found
+
+    def events(self, name: str) -> list[dict[str, Any]]:
+        """Return the events of a stream."""
+        path = self.output / name / "events.jsonl"
+        return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+    def said(self) -> str:
+        """Return the messages so far."""
+        return self._errors.read_text()
+
+    def until(self, what: str, holds: Callable[[], object]) -> None:
+        """Wait for something, and note how long that took."""
+        began = time.monotonic()
+        while True:
+            try:
+                if holds():
+                    break
+            except (OSError, ValueError, IndexError):  # not there yet, or being replaced
+                pass
+            assert time.monotonic() - began < PATIENCE, f"{what}: never\n{self.said()}"
+            assert self.process.poll() is None, self.said()
+            time.sleep(0.05)
+        self.table.append((time.monotonic() - began, what))
+
+    def goes_on(self, name: str) -> Callable[[], bool]:
+        """Return a check that a stream has read more than now."""
+        before: int = self.state(name)["read"]
+        return lambda: bool(self.state(name)["state"] == "running" and self.state(name)["read"] > before + 5)
+
+
+@contextmanager
+def day(folder: Path, cameras: MovingCameras, targets: str) -> Iterator[Day]:
+    """Begin a day, and leave no process of it."""
+    one = Day(folder, cameras, targets)
+    try:
+        yield one
+    finally:
+        if one.process.poll() is None:
+            os.killpg(one.process.pid, signal.SIGKILL)
+            one.process.wait()
+        print(*(f"{seconds:6.1f} s  {what}" for seconds, what in one.table), sep="\n")
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1200)
+def test_everything_is_changed_while_the_cameras_run(tmp_path: Path) -> None:
+    hook = Webhook()
+    with (
+        moving_cameras(gate="one", lane="two", yard="three") as cameras,
+        day(tmp_path, cameras, hook.url) as one,
+    ):
+        gate = {"source": cameras.address("gate"), "zones": ZONES.format("mid"), "save": "[masks, parquet]"}
+        one.streams = {"gate": gate, "lane": {"source": cameras.address("lane", "wrong")}}
+        one.write()
+        one.start()
+        one.until("the first start: a zone is entered", lambda: zones_of(one, "gate") == {"mid"})
+        assert one.state("lane")["state"] == "reconnecting"
+
+        one.streams["lane"]["source"] = cameras.address("lane")
+        one.write()
+        one.until("the password is corrected", lambda: one.state("lane")["state"] == "running")
+
+        gate["zones"] = ZONES.format("middle")
+        one.write()
+        one.until("a zone is renamed", lambda: kinds_since(one, "gate", "mid") >= {"configured"})
+        one.until("  and entered", lambda: "middle" in zones_of(one, "gate"))
+
+        one.streams["yard"] = {"source": cameras.address("yard")}
+        one.write()
+        one.until("a camera is added: it runs", lambda: one.state("yard")["state"] == "running")
+
+        number = one.events("gate")[-1]["number"]
+        gate["max_side"] = "240"
+        one.write()
+        one.until("another size: a new epoch", lambda: configured(one, "gate", number))
+        one.until("  and goes on", one.goes_on("gate"))
+
+        number = one.events("gate")[-1]["number"]
+        gate["save"] = "[parquet]"
+        one.write()
+        one.until("other parts", lambda: configured(one, "gate", number))
+
+        one.write(mistake="  door: {source: ftp://nowhere}")
+        one.until("a mistake is told", lambda: "'ftp' is no known kind" in one.said())
+        for name in ("gate", "lane", "yard"):
+            one.until(f"  and {name} goes on", one.goes_on(name))
+
+        one.streams["road"] = {"source": one.streams.pop("lane")["source"], "was": "lane"}
+        before = one.state("lane")["committed"]
+        one.write()
+        one.until("a camera is renamed: it runs", lambda: one.state("road")["state"] == "running")
+        one.until("  with its history", lambda: one.state("road")["committed"] >= before)
+        assert not (one.output / "lane").exists()
+
+        del one.streams["yard"]
+        one.write()
+        one.until("a camera is removed: it has ended", lambda: one.state("yard")["state"] == "done")
+
+        one.stop(signal.SIGKILL)
+        one.write(mistake="  door: [")
+        one.start()
+        time.sleep(5.0)
+        assert one.process.poll() is None, one.said()
+        one.write()
+        one.until("a file that could not be read is mended", one.goes_on("gate"))
+        one.until("  and road goes on", one.goes_on("road"))
+        assert one.stop(signal.SIGTERM) == 0, one.said()
+        written = [event for name in ("gate", "road", "yard") for event in one.events(name)]
+        ids = [event["id"] for event in written]
+        assert len(ids) == len(set(ids))
+        sent = hook.ids
+        wanted = [
+            event["id"] for event in written if event["kind"] not in ("born", "hidden", "back", "ended")
+        ]
+        assert sorted(set(sent)) == sorted(wanted)
+        assert not any(password in one.said() for password in ("bob:one", "bob:two", "wrong"))
+    hook.stop()
+
+
+def zones_of(one: Day, name: str) -> set[str]:
+    """Return the zones that were entered."""
+    return {event["zone"] for event in one.events(name) if event["kind"] == "entered"}
+
+
+def kinds_since(one: Day, name: str, zone: str) -> set[str]:
+    """Return the kinds of events after the last one of a zone."""
+    events = one.events(name)
+    last = max((place for place, event in enumerate(events) if event["zone"] == zone), default=-1)
+    return {event["kind"] for event in events[: last + 1]} | {event["kind"] for event in events[last:]}
+
+
+def configured(one: Day, name: str, number: int) -> bool:
+    """Whether the stream has other settings since the event of a number."""
+    return any(event["kind"] == "configured" and event["number"] > number for event in one.events(name))
