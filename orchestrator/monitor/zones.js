@@ -19,6 +19,7 @@ let chosen = null; // place of the zone whose corners can be moved
 let draft = null; // what is being drawn: kind, points, aim
 let dragged = null; // a corner that follows the pointer: points, place
 let past = []; // the zones before each change
+let isRebuilt = false; // the list, just now
 
 // What is there, and what is wrong with it
 
@@ -249,6 +250,7 @@ function row(place) {
     show();
   });
   name.addEventListener("change", () => {
+    if (isRebuilt || !name.isConnected) return; // a row that goes tells of a change, too
     past.push(before);
     before = JSON.stringify(zones);
     showTools();
@@ -264,7 +266,9 @@ function row(place) {
 function showList() {
   const shape = JSON.stringify(zones.map((zone) => [zone.was, zone.kind, isMovable(zone)]));
   if (list.dataset.shape !== shape) { // the rows stay while somebody types in one
+    isRebuilt = true;
     list.replaceChildren(...zones.map((_, place) => row(place)));
+    isRebuilt = false;
     list.dataset.shape = shape;
   }
   zones.forEach((zone, place) => {
