@@ -16,6 +16,7 @@ from orchestrator.events.recent import RecentEvents
 from orchestrator.monitor.recorded_files import RecordedFile, recorded_file, still_file
 from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.sinks.live_picture import live_picture_path, watch
+from orchestrator.sinks.still import STILL
 
 __all__ = ["Board"]
 
@@ -132,6 +133,10 @@ class Board:
         """Return what the page shows of a stream's counts: the rows of the last hours, and the heat map."""
         rows = recent_hours(self._folder / name, _COUNT_ROWS)
         return {"hours": rows, "heat": asdict(self._counts.of(name).heat)}
+
+    def still_of(self, name: str) -> Path:
+        """Return where the newest frame of a stream is, as it came; it may not be there."""
+        return self._folder / name / STILL
 
     def watch(self, name: str) -> None:
         """Ask for more pictures of a stream for a while."""

@@ -249,6 +249,7 @@ function show(stream, number) {
   }
   element.querySelector(".picture").hidden = !stream.picture;
   drawLayers(element.querySelector("figure"), stream.layers_over_time);
+  element.querySelector(".zones").href = `zones/${encodeURIComponent(stream.name)}`;
   listEvents(element.querySelector(".events"), stream);
   showCounts(element.querySelector(".counts"), stream, image).catch(() => {}); // the run has ended
 }

@@ -25,6 +25,8 @@ from orchestrator.monitor.board import Board
 from orchestrator.monitor.metrics import CONTENT_TYPE, MetricsText
 from orchestrator.monitor.recorded_files import RecordedFile, asked_range
 from orchestrator.monitor.restream import BOUNDARY, motion_jpeg
+from orchestrator.monitor.zones_page import MOST_BYTES, ZONES_FILES, ZonesPage
+from orchestrator.run.edit_zones import ZoneEditor, ZoneFiles
 
 __all__ = ["serving"]
 
@@ -38,6 +40,7 @@ _FILES = {
     "/": ("page.html", "text/html; charset=utf-8"),
     "/monitor.js": ("monitor.js", "text/javascript; charset=utf-8"),
     "/monitor.css": ("monitor.css", "text/css; charset=utf-8"),
+    **ZONES_FILES,
 }
 _UNDER_WAY = ("running", "stalled", "reconnecting", "done")
 #: What probes ask for, and whether it is so: the command answers; a stream is under way.
@@ -56,8 +59,15 @@ _HEADERS = {
 
 
 @contextmanager
-def serving(address: MonitorAddress, board: Board) -> Iterator[str]:
+def serving(address: MonitorAddress, board: Board, zones: ZoneFiles | None = None) -> Iterator[str]:
     """Serve the page while the ``with`` block runs.
+
+    Parameters
+    ----------
+    address : MonitorAddress
+    board : Board
+    zones : ZoneFiles, optional
+        Where the zones of the run are, which may be drawn; by default nowhere.
 
     Yields
     ------
@@ -76,7 +86,7 @@ def serving(address: MonitorAddress, board: Board) -> Iterator[str]:
             "characters, for example with openssl rand -hex 16."
         )
     try:
-        server = _Server(address, board, token)
+        server = _Server(address, board, token, zones or ZoneFiles())
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ConfigError(
@@ -97,8 +107,9 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False  # a slow viewer must not delay the end of the run
 
-    def __init__(self, address: MonitorAddress, board: Board, token: str) -> None:
+    def __init__(self, address: MonitorAddress, board: Board, token: str, zones: ZoneFiles) -> None:
         self.board = board
+        self.zones = ZonesPage(board, ZoneEditor(zones), may_write=bool(token))
         self.metrics_text = MetricsText()
         self.token = token
         self.is_closing = False
@@ -117,21 +128,14 @@ class _Handler(BaseHTTPRequestHandler):
         if url.path in _HEALTH:  # they tell nothing that needs a token
             self._answer_on_health(_HEALTH[url.path])
             return
-        if self.server.token:
-            given = parse_qs(url.query).get("token", [""])[0]
-            is_known = bool(given) and self._is_token(given)
-            # A player of pictures, which has another address, keeps no cookie.
-            if is_known and url.path == "/":
-                # A cookie keeps the token from now on, so that it is not in the browser's history.
-                headers = {"Location": "./", "Set-Cookie": f"{_COOKIE}={given}; HttpOnly; SameSite=Strict"}
-                self._answer(HTTPStatus.SEE_OTHER, b"", "text/plain", headers)
-                return
-            if not is_known and not self._is_token(self._bearer()) and not self._is_token(self._cookie()):
-                self._refuse(HTTPStatus.UNAUTHORIZED, "Open this page with ?token=… in its address.")
-                return
-        elif not self._is_for_loopback():
-            # DNS rebinding: another site's name may point at this machine to read the page.
-            self._refuse(HTTPStatus.FORBIDDEN, "Open this page at 127.0.0.1 or localhost.")
+        given = _token_of(url.query)
+        # A player of pictures, which has another address, keeps no cookie.
+        if given and url.path == "/" and self._is_token(given):
+            # A cookie keeps the token from now on, so that it is not in the browser's history.
+            headers = {"Location": "./", "Set-Cookie": f"{_COOKIE}={given}; HttpOnly; SameSite=Strict"}
+            self._answer(HTTPStatus.SEE_OTHER, b"", "text/plain", headers)
+            return
+        if not self._is_allowed(given):
             return
         if url.path in _FILES:
             name, kind = _FILES[url.path]
@@ -144,6 +148,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.OK, text.encode(), CONTENT_TYPE)
         elif url.path.endswith(_MOTION_JPEG) and (stream := self._stream(url.path)) is not None:
             self._send_on(stream)
+        elif (zones := self.server.zones.get(url.path)) is not None:
+            self._answer(zones.status, zones.content, zones.kind)
         elif (
             url.path.endswith(_COUNTS)
             and (stream := self._stream(url.path.removesuffix(_COUNTS))) is not None
@@ -156,6 +162,30 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.OK, picture, "image/jpeg")
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "There is nothing here.")
+
+    def do_PUT(self) -> None:
+        """Take the zones of a stream that were drawn."""
+        url = urlsplit(self.path)
+        length = self.headers.get("Content-Length", "")
+        if not (length.isascii() and length.isdecimal()) or int(length[:9]) > MOST_BYTES:
+            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"Zones have at most {MOST_BYTES} bytes.")
+            return
+        body = self.rfile.read(int(length))  # first, as a browser reads no answer before it has sent all
+        if self._is_allowed(_token_of(url.query)):
+            zones = self.server.zones.put(url.path, self.headers, body)
+            self._answer(zones.status, zones.content, zones.kind)
+
+    def _is_allowed(self, given: str) -> bool:
+        """Whether a request, which may have a token in its address, is answered; if not, say so."""
+        if not self.server.token:
+            if not self._is_for_loopback():
+                # DNS rebinding: another site's name may point at this machine to read the page.
+                self._refuse(HTTPStatus.FORBIDDEN, "Open this page at 127.0.0.1 or localhost.")
+                return False
+        elif not any(self._is_token(one) for one in (given, self._bearer(), self._cookie())):
+            self._refuse(HTTPStatus.UNAUTHORIZED, "Open this page with ?token=… in its address.")
+            return False
+        return True
 
     def _answer_on_health(self, is_enough: Callable[[Board], bool]) -> None:
         if is_enough(self.server.board):
@@ -224,7 +254,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self.server.board.picture(int(number[:9]))
 
     def _is_token(self, given: str) -> bool:
-        return hmac.compare_digest(given.encode(), self.server.token.encode())
+        return bool(self.server.token) and hmac.compare_digest(given.encode(), self.server.token.encode())
 
     def _bearer(self) -> str:
         return self.headers.get("Authorization", "").removeprefix("Bearer ")
@@ -255,3 +285,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(content)
         except ConnectionError:
             self.close_connection = True  # the client is gone
+
+
+def _token_of(query: str) -> str:
+    return parse_qs(query).get("token", [""])[0]

@@ -29,7 +29,6 @@ from orchestrator.events.delivery import Deliveries
 from orchestrator.events.targets import all_targets
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.log import Log
-from orchestrator.monitor.address import MonitorAddress
 from orchestrator.monitor.board import Board
 from orchestrator.monitor.ray_metrics import RayMetrics
 from orchestrator.monitor.server import serving
@@ -51,6 +50,7 @@ from orchestrator.run.admission import (
 )
 from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer
+from orchestrator.run.edit_zones import ZoneFiles
 from orchestrator.run.expected_time import words_on_expected_time
 from orchestrator.run.identity import other_source
 from orchestrator.run.job import Job
@@ -64,7 +64,7 @@ from orchestrator.run.resumption import (
 )
 from orchestrator.run.retention import Retention
 from orchestrator.run.run_folder import RunFolder, StatusFile
-from orchestrator.run.stream_list import refuse_if_all
+from orchestrator.run.stream_list import cameras_file, refuse_if_all
 from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
 from orchestrator.run.versions import installed_versions
 from orchestrator.run.whole_overlays import make_all_whole
@@ -180,7 +180,7 @@ def run(
             log.say(place + faults[stream.name], "error", stream.name)
         onlookers: list[Observer] = []
         if at_work := bool(due) or arguments.watch:
-            monitored = _monitored(arguments.monitor, live, folder.path, deliveries, log)
+            monitored = _monitored(arguments, live, folder.path, deliveries, log)
             onlookers = session.enter_context(monitored)
             _announce(due, arguments, memory, contents, log)
             session.enter_context(joined_ray(arguments.address, head))
@@ -235,14 +235,15 @@ def _without_source(stream: ListedStream, fault: str) -> StreamState:
 
 @contextmanager
 def _monitored(
-    address: MonitorAddress | None, live: Path | None, folder: Path, deliveries: Deliveries, log: Log
+    arguments: Arguments, live: Path | None, folder: Path, deliveries: Deliveries, log: Log
 ) -> Iterator[list[Observer]]:
     """Serve the monitor's page if requested; yield its observer of the driver."""
-    if address is None or live is None:
+    if arguments.monitor is None or live is None:
         yield []
         return
+    zones = ZoneFiles(cameras_file(arguments.streams), arguments.zones.path, arguments.watch)
     board = Board(live, folder, deliveries.backlogs)
-    with serving(address, board) as url:
+    with serving(arguments.monitor, board, zones) as url:
         live.mkdir(parents=True, exist_ok=True)
         log.say(f"Look on at {url}")
         try:

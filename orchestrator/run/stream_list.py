@@ -26,6 +26,7 @@ from orchestrator.sources.presence import is_source, parts_of, require_source
 __all__ = [
     "MAX_BYTES",
     "MAX_STREAMS",
+    "cameras_file",
     "missing_sources",
     "parse_stream_list",
     "read_stream_list",
@@ -72,6 +73,11 @@ def read_stream_list(path: Path) -> StreamsFile:
     return parsed
 
 
+def cameras_file(path: Path | None) -> Path | None:
+    """Return the path of a list that is a file of cameras; None of any other, or of none."""
+    return path if path is not None and path.suffix in _YAML else None
+
+
 def parse_stream_list(path: Path, before: StreamsFile | None = None) -> StreamsFile:
     """Read what can be used of a list of streams, or of a file of cameras, whose name ends in ``.yaml``.
 
@@ -86,7 +92,8 @@ def parse_stream_list(path: Path, before: StreamsFile | None = None) -> StreamsF
     ConfigError
         If the file cannot be read, is too long, or holds neither streams nor bad lines.
     """
-    parsed = parse_cameras(path, path.parent, before) if path.suffix in _YAML else _parse_lines(path)
+    is_yaml = cameras_file(path) is not None
+    parsed = parse_cameras(path, path.parent, before) if is_yaml else _parse_lines(path)
     if len(parsed.streams) > MAX_STREAMS:
         raise ConfigError(f"The list {path} holds more than {MAX_STREAMS} streams; split it.")
     return parsed
