@@ -22,9 +22,14 @@ _USER_INFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)\S*@")
 # "password=…" in a query, or in the path as some recorders want it; the value ends at & or white space,
 # because a password may hold any other separator.
 _SECRET_PARAMETER = re.compile(
-    r"((?:password|passwd|passphrase|pass|pwd|secret|token|api_?key|key|auth|signature|sig)=)[^\s&]+",
+    r"((?:password|passwd|passphrase|loginpas|pass|pwd|secret|token|api_?key|key|auth|authbasic|signature|sig"
+    r"|streamid)=)[^\s&]+",
     re.IGNORECASE,
 )
+
+
+# Who knows the last part of such an address can send to it.
+_STREAM_KEY = re.compile(r"(rtmps?://[^\s/]+/[^\s/]+/)\S+", re.IGNORECASE)
 
 
 def mask(text: str) -> str:
@@ -36,4 +41,5 @@ def mask(text: str) -> str:
     'cannot open rtsp://***@10.0.0.7/door?token=***&channel=1'
     """
     without_user = _USER_INFO.sub(rf"\g<1>{MASK}@", text)
-    return _SECRET_PARAMETER.sub(rf"\g<1>{MASK}", without_user)
+    without_parameters = _SECRET_PARAMETER.sub(rf"\g<1>{MASK}", without_user)
+    return _STREAM_KEY.sub(rf"\g<1>{MASK}", without_parameters)

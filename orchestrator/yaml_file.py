@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,16 @@ import yaml
 from pydantic import ValidationError
 
 from mlbs_actors.errors import ConfigError
+from orchestrator.credentials import MASK, mask
 
-__all__ = ["YamlFile", "faults_of", "line_of", "read_yaml"]
+__all__ = ["YamlFile", "faults_of", "line_of", "masked_yaml", "read_yaml"]
+
+#: Largest file that is read.
+MAX_BYTES = 8 * 2**20
+
+#: Keys whose values are secrets, and those that may hold an address without its scheme.
+_SECRETS = re.compile(r".*(pass|secret|token|pwd|key).*", re.IGNORECASE)
+_ADDRESSES = ("source", "url")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +58,12 @@ def read_yaml(path: Path, flag: str) -> YamlFile:
         If it cannot be read, is no YAML, or names something twice; names the line.
     """
     try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ConfigError(f"{flag}: {path} is larger than {MAX_BYTES // 2**20} MiB; split it.")
         text = path.read_text(encoding="utf-8")
         tree = yaml.compose(text, yaml.SafeLoader)
         if tree is not None:
-            _refuse_twice(path, flag, tree)
+            _refuse_twice(path, flag, tree, set())
         return YamlFile(text, tree, yaml.safe_load(text))
     except OSError as error:
         raise ConfigError(f"{flag}: {path} cannot be read: {error.strerror}.") from None
@@ -64,6 +76,35 @@ def read_yaml(path: Path, flag: str) -> YamlFile:
         raise ConfigError(f"{flag}: {path} is no YAML: {error}") from None
     except (ValueError, TypeError, RecursionError) as error:  # such as a date that there is not, or a loop
         raise ConfigError(f"{flag}: {path} cannot be understood: {error}.") from None
+
+
+def masked_yaml(text: str) -> str:
+    """Return a text of YAML without the passwords and tokens in it; all else is as it was."""
+    tree = yaml.compose(text, yaml.SafeLoader)
+    pieces, end = [], 0
+    for begin, after, hidden in sorted(set(_secrets(tree, "", set()))):
+        pieces += [mask(text[end:begin]), json.dumps(hidden, ensure_ascii=False)]
+        end = after
+    return "".join([*pieces, mask(text[end:])])
+
+
+def _secrets(node: yaml.Node | None, key: str, seen: set[int]) -> Iterator[tuple[int, int, str]]:
+    """Yield where each value begins and ends that holds a secret, and the value without it."""
+    if node is None or id(node) in seen:
+        return
+    seen.add(id(node))
+    if isinstance(node, yaml.MappingNode):
+        for name, value in node.value:
+            yield from _secrets(value, str(name.value), seen)
+    elif isinstance(node, yaml.SequenceNode):
+        for item in node.value:
+            yield from _secrets(item, key, seen)
+    elif isinstance(node, yaml.ScalarNode):
+        hidden = MASK if _SECRETS.fullmatch(key) else mask(node.value)
+        if key in _ADDRESSES and "@" in hidden and MASK not in hidden:
+            hidden = f"{MASK}@{hidden.rpartition('@')[2]}"
+        if hidden != node.value:
+            yield node.start_mark.index, node.end_mark.index, hidden
 
 
 def line_of(tree: yaml.Node | None, place: Sequence[int | str]) -> int:
@@ -96,8 +137,11 @@ def faults_of(
     return faults
 
 
-def _refuse_twice(path: Path, flag: str, node: yaml.Node) -> None:
+def _refuse_twice(path: Path, flag: str, node: yaml.Node, seen: set[int]) -> None:
     """Refuse a key that stands twice in one mapping: YAML would silently take the last."""
+    if id(node) in seen:  # of an alias, which may stand for much
+        return
+    seen.add(id(node))
     if isinstance(node, yaml.MappingNode):
         names = set()
         for key, value in node.value:
@@ -107,7 +151,7 @@ def _refuse_twice(path: Path, flag: str, node: yaml.Node) -> None:
             if key.value in names:
                 raise ConfigError(f"{flag}: {path}, line {line}: {key.value!r} stands there twice.")
             names.add(key.value)
-            _refuse_twice(path, flag, value)
+            _refuse_twice(path, flag, value, seen)
     elif isinstance(node, yaml.SequenceNode):
         for item in node.value:
-            _refuse_twice(path, flag, item)
+            _refuse_twice(path, flag, item, seen)

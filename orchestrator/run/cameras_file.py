@@ -76,12 +76,13 @@ class _Parser:
             self._fault([key], f"there is no key {key!r}; known are defaults, events and streams")
         earlier = {} if self.before is None else {one.name: one for one in self.before.streams}
         defaults = content.get("defaults") or {}
-        if self._settings(["defaults"], defaults, OwnSettings()) is None:
+        self._settings(["defaults"], defaults, OwnSettings())
+        if not isinstance(defaults, dict):
             defaults = {}
-        parsed = [self._stream(str(name), entry, defaults, earlier) for name, entry in streams.items()]
+        parsed = [self._stream(name, entry, defaults, earlier) for name, entry in streams.items()]
         usable = tuple(stream for stream in parsed if stream is not None)
         targets = self._targets(content.get("events", []))
-        return StreamsFile(usable, self.faults, self.file.text, targets)
+        return StreamsFile(usable, self.faults, None if self.faults else self.file.text, targets)
 
     def _targets(self, entries: object) -> tuple[EventTarget, ...] | None:
         """Read where events are sent; those of before if that cannot be used."""
@@ -90,36 +91,44 @@ class _Parser:
                 return targets_of([TargetEntry.model_validate(entry) for entry in entries])
             except ValidationError as invalid:
                 faults = faults_of(self.file.tree, invalid, ["events"])
-                self.faults |= {line: mask(words) for line, words in faults.items()}
-            except ConfigError as error:
+                self._add_faults(faults)
+            except (ConfigError, ValueError) as error:
                 self._fault(["events"], str(error))
         else:
             self._fault(["events"], "events is no list; write each target as - url: mqtt://HOST/TOPIC")
         return None if self.before is None else self.before.targets
 
     def _fault(self, place: Sequence[str], words: str) -> None:
-        self.faults[line_of(self.file.tree, place)] = mask(words).rstrip(".")
+        self._add_faults({line_of(self.file.tree, place): words})
+
+    def _add_faults(self, faults: Mapping[int, str]) -> None:
+        for line, words in faults.items():
+            others = f"{self.faults[line]}; " if line in self.faults else ""
+            self.faults[line] = others + mask(words).rstrip(".")
 
     def _stream(
         self,
-        name: str,
+        name: object,
         entry: object,
         defaults: Mapping[str, Any],
         earlier: Mapping[str, ListedStream],
     ) -> ListedStream | None:
+        if not isinstance(name, str):
+            self._fault(["streams", str(name)], f"{name!r} is no text in YAML; put the name in quotes")
+            return None
         place, before = ["streams", name], earlier.get(name)
         try:
             check_name(name, given=True)
             if (same := self.names.setdefault(name.lower(), name)) != name:
                 raise ConfigError(f"some disks take {name!r} for {same!r}; choose another name")
-        except ConfigError as error:
+        except (ConfigError, ValueError) as error:
             self._fault(place, str(error))
             return None
         entry = {"source": entry} if isinstance(entry, str) else entry
         if not isinstance(entry, dict) or not isinstance(entry.get("source"), str):
             self._fault(place, f"{name} has no source; write source: rtsp://host/stream below it")
             return before
-        was = entry.get("was")
+        was = self._was(place, entry.get("was"))
         own = {key: value for key, value in entry.items() if key not in ("source", "was")}
         source = self._source(place, entry["source"], before)
         settings = self._settings(place, own, OwnSettings() if before is None else before.own, defaults)
@@ -128,12 +137,19 @@ class _Parser:
         if source is None or settings is None:
             return None
         line = line_of(self.file.tree, place)
-        return ListedStream(name, source, line, settings, None if was is None else str(was))
+        return ListedStream(name, source, line, settings, was)
+
+    def _was(self, place: list[str], given: object) -> str | None:
+        """Read the name that a stream had before."""
+        if given is None or (isinstance(given, str) and given not in self.file.content["streams"]):
+            return given
+        self._fault([*place, "was"], f"was: {given!r} is a stream of this file; a renamed one has one name")
+        return None
 
     def _source(self, place: list[str], given: str, before: ListedStream | None) -> SourceAddress | None:
         try:
             return parse_address(given, self.folder)
-        except (ConfigError, SourceError) as error:
+        except (ConfigError, SourceError, ValueError) as error:
             self._fault([*place, "source"], f"source: {error}")
             return None if before is None else before.source
 
@@ -152,8 +168,9 @@ class _Parser:
         for key in whole.keys() & _OPTIONS.keys():
             try:
                 values[key] = self._value(key, whole[key])
-            except ConfigError as error:
-                self._fault([*place, key], str(error))
+            except (ConfigError, ValueError) as error:
+                if key in entry:  # else it is one of the defaults, which is told there
+                    self._fault([*place, key], str(error))
                 complete &= key in before.options
                 if key in before.options:
                     values[key] = before.options[key]
@@ -164,18 +181,21 @@ class _Parser:
         try:
             rules = EventSettings.model_validate(asked) if asked else None
         except ValidationError as invalid:
-            self.faults |= faults_of(self.file.tree, invalid, place)
+            if any(key in entry for key in asked):
+                self._add_faults(faults_of(self.file.tree, invalid, place))
             rules, complete = before.rules, complete and before.rules is not None
         return OwnSettings(values, rules) if complete else None
 
     def _value(self, key: str, given: object) -> object:
         option = _OPTIONS[key]
+        if given is None:
+            raise ConfigError(f"{key} has no value; leave the key out")
         if isinstance(given, dict):
             texts = [f"{name}={_text(one)}" for name, one in given.items()]
         else:
             texts = [_text(one) for one in (given if isinstance(given, list) else [given])]
         if key == "ignore":
-            texts = [str(self.folder / text) for text in texts]
+            texts = [str(self.folder.absolute() / text) for text in texts]
         value = option.value(key, texts if option.form in (Form.REPEATED, Form.WORDS) else ",".join(texts))
         if key == "set":
             load_config(None, value)  # whether there are such parameters

@@ -167,6 +167,7 @@ class Driver:
             return
         for name in change.removed:
             if self._coming.pop(name, None) is not None:
+                self._renamed.pop(name, None)
                 continue
             if self._states[name].state != "waiting":
                 if name in self._streams or name in self._returning:
@@ -209,7 +210,10 @@ class Driver:
     def _add_coming(self) -> None:
         """Add the streams of new lines; one that comes back, once its processes are gone."""
         ending = {*self._removed, *self._endings.values()}
-        for name in [name for name in self._coming if self._renamed.get(name, [name])[0] not in ending]:
+        working = {*ending, *self._streams, *self._returning}
+        for name in list(self._coming):
+            if name in ending or (name in self._renamed and self._renamed[name][0] in working):
+                continue
             spec = self._coming.pop(name)
             if name in self._renamed:
                 before, ended = self._renamed.pop(name)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from orchestrator.credentials import mask
 from orchestrator.storage.durable_files import replace_file
+from orchestrator.yaml_file import masked_yaml
 
 __all__ = ["keep_version", "newest_version"]
 
@@ -20,7 +20,7 @@ def newest_version(run: Path, kind: Edited) -> Path | None:
 
 def keep_version(run: Path, kind: Edited, text: str) -> None:
     """Keep the contents of a file as the version in force now; OSError as the disk says."""
-    newest, text = newest_version(run, kind), "\n".join(mask(line) for line in text.split("\n"))
+    newest, text = newest_version(run, kind), masked_yaml(text)
     if newest is None or newest.read_text(encoding="utf-8") != text:
         number = 1 if newest is None else int(newest.stem.rpartition("-")[2]) + 1
         replace_file(run / f"{kind}-{number:04d}.yaml", text.encode())

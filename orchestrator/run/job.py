@@ -119,7 +119,8 @@ class Job:
 
     def cameras(self) -> list[Camera]:
         """Return what Home Assistant is told of the streams."""
-        return [Camera.of(name, asked.rules) for name, asked in list(self._settings.items())]
+        present = [(name, asked) for name, asked in list(self._settings.items()) if name not in self._gone]
+        return [Camera.of(name, asked.rules) for name, asked in present]
 
     def video(self, name: str) -> Path | None:
         """Return the file that a stream reads; None of a camera."""
@@ -130,8 +131,8 @@ class Job:
         """Return how much is kept of each camera that has a limit of its own, and for None of all others."""
         kept: dict[str | None, Keep] = {}
         for name, stream in self._streams.items():
-            if isinstance(keep := stream.own.options.get("keep"), Keep):
-                kept[name] = keep
+            if "keep" in stream.own.options:
+                kept[name] = stream.own.options["keep"] or Keep()
         if self._arguments.keep is not None:
             kept[None] = self._arguments.keep
         return kept
@@ -174,7 +175,7 @@ class Job:
             now, same_source = self._settings[name], streams[name].source == self._streams[name].source
             effects = self._told_changes(name, settings[name], now, same_source=same_source)
             spec = self._spec(self._streams[name])
-            is_other_file = not same_source and not spec.live
+            is_other_file = not same_source and not (spec.live and streams[name].source.live)
             if is_other_file or {Effect.RESTART, Effect.EPOCH}.intersection(effects.values()):
                 restarted.append((spec, same_source and not effects.keys() & _OF_READER))
                 continue
@@ -204,7 +205,8 @@ class Job:
     def _retarget(self, targets: Sequence[EventTarget]) -> None:
         """Send events to the targets of the command and these."""
         try:
-            self._deliveries.retarget(all_targets(self._arguments.events, targets))
+            targets = all_targets(self._arguments.events, targets)
+            self._deliveries.retarget(targets)
         except (ConfigError, sqlite3.Error) as error:
             self._say(f"Events go where they went before: {error}")
         else:
@@ -279,13 +281,14 @@ class Job:
         command = command_again(given, f"{self._folder.path}-again")
         description = describe_run(list(self._streams.values()), self._config, asked, command, before)
         described = {name: one.described() for name, one in self._settings.items()}
-        shared = settings_of(_NOBODY, given, self._config).described() | description
+        shared = description | settings_of(_NOBODY, given, self._config).described()
         own = {
             name: {key: value for key, value in values.items() if value != shared[key]}
             for name, values in described.items()
             if self._streams[name].own != OwnSettings()
         }
-        return description | {"settings": description["settings"] | own}
+        others = {key: one for key, one in description["settings"].items() if key not in described}
+        return description | {"settings": others | own}
 
     def _spec(self, stream: ListedStream) -> StreamSpec:
         asked = self._settings[stream.name]

@@ -97,7 +97,10 @@ class ListWatch:
         removed = [name for name in self._present if name not in listed]
         if faults:
             sources = {stream.source.location for stream in parsed.streams}
-            removed = [name for name in removed if self._present[name].source.location in sources]
+            renamed = {stream.was for stream in usable}
+            removed = [
+                name for name in removed if name in renamed or self._present[name].source.location in sources
+            ]
         added = [stream for stream in usable if stream.name not in self._present]
         changed = [one for one in usable if one.name in self._present and not self._is_present(one)]
         self._present |= {stream.name: stream for stream in usable}

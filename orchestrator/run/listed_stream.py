@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -22,7 +24,8 @@ __all__ = [
 ]
 
 MAX_NAME_BYTES = 100
-RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html", "ray.log"})
+RESERVED_NAMES = frozenset({"run.json", "status.json", "report.html", "ray.log", "events-refused.jsonl"})
+_RESERVED = re.compile(r"(cameras|zones)-\d{4}\.yaml")
 #: What a file's name cannot hold on Windows, and on shares that Windows reads.
 UNSAFE_CHARACTERS = frozenset('<>:"|?*')
 
@@ -106,7 +109,9 @@ def check_name(name: str, *, given: bool) -> None:
         raise ConfigError(f"{name!r} cannot be the name of a stream's folder; {advice}")
     if unsafe := "".join(sorted(UNSAFE_CHARACTERS & set(name))) or (name[-1:] if name[-1] in ". " else ""):
         raise ConfigError(f"the name {name!r} holds {unsafe!r}, which not every disk can store; {advice}")
+    if any(unicodedata.category(character) in ("Cc", "Cs") for character in name):
+        raise ConfigError(f"the name {name!r} holds a control character; {advice}")
     if len(name.encode()) > MAX_NAME_BYTES:
         raise ConfigError(f"the name is longer than {MAX_NAME_BYTES} bytes; {advice}")
-    if name.lower() in RESERVED_NAMES:
+    if name.lower() in RESERVED_NAMES or _RESERVED.fullmatch(name.lower()):
         raise ConfigError(f"{name!r} is the name of a file of the run; {advice}")

@@ -41,16 +41,16 @@ def earlier_streams(folder: RunFolder, near: Path) -> StreamsFile:
     near : Path
         The file that named them.
     """
-    known = {}
-    for name, source in folder.description().get("sources", {}).items():
-        with suppress(ConfigError):  # of an earlier version
-            known[name] = ListedStream(name, parse_address(source, near.parent), 1)
     cameras = newest_version(folder.path, "cameras")
     if cameras is not None:
         with suppress(ConfigError):
-            parsed = parse_cameras(cameras, near.parent)
-            known |= {one.name: one for one in parsed.streams}
-    return StreamsFile(tuple(known.values()), {}, targets=None)
+            return replace(parse_cameras(cameras, near.parent), targets=None)
+    states, known = folder.states(), []
+    for name, source in folder.description().get("sources", {}).items():
+        if name not in states or states[name].line is not None:  # else it has left the list
+            with suppress(ConfigError):  # of an earlier version
+                known.append(ListedStream(name, parse_address(source, near.parent), 1))
+    return StreamsFile(tuple(known), {})
 
 
 def with_new_names(

@@ -121,6 +121,8 @@ def run(
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         targets = None if listed.targets is None else all_targets(arguments.events, listed.targets)
         deliveries = Deliveries(targets, folder.path, log.warn, _page_of(arguments), lambda: job.cameras())
+        if targets is None:
+            log.say("Where events are sent is not known until the list can be read; they wait.", "error")
         begun = None
         if arguments.resume and folder.holds_run:
             hold.enter_context(folder.locked())

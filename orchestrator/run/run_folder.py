@@ -26,7 +26,7 @@ from orchestrator.options import Effect, options
 from orchestrator.run.identity import goes_on, is_camera
 from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.stream_settings import words_of_changes
-from orchestrator.run.stream_state import ENDED, StreamState
+from orchestrator.run.stream_state import ENDED, StreamState, has_ended
 from orchestrator.run.versions import installed_versions
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.storage.durable_files import replace_file
@@ -139,8 +139,10 @@ class RunFolder:
         recorded, sources = self.recorded_sources(begun), description["sources"]
         if not all(name in sources and goes_on(source, sources[name]) for name, source in recorded.items()):
             raise ConfigError(f"The run in {self.path} had other streams; {advice}")
-        cameras_alone = all(is_camera(source) for source in recorded.values())
-        for key, meaning in _FIXED.items() if cameras_alone else _SAME.items():
+        states = self.states()
+        files = [name for name, source in recorded.items() if not is_camera(source)]
+        going_on = [name for name in files if name not in states or not has_ended(states[name])]
+        for key, meaning in _SAME.items() if going_on else _FIXED.items():
             if begun.get(key) != description[key]:
                 changes = words_of_changes(begun.get(key), description[key])
                 raise ConfigError(f"The run in {self.path} had other {meaning} ({changes}); {advice}")

@@ -256,11 +256,11 @@ def stopped(states: Iterable[StreamState]) -> tuple[StreamState, ...]:
 def after_removal(state: StreamState, progress: StreamProgress | None) -> StreamState:
     """Return the state of a stream that was removed from the list and drained to ``progress``."""
     if progress is not None and progress.committed:
-        return replace(after_end(state, progress), interrupted=True)
+        return replace(after_end(state, progress), interrupted=True, line=None)
     sentence = "Removed from the list before it had a result."
     if state.committed:
         sentence = "Removed from the list; what was committed is kept."
-    return replace(_ended(state), state="partial", error=sentence, interrupted=True)
+    return replace(_ended(state), state="partial", error=sentence, interrupted=True, line=None)
 
 
 def _ended(state: StreamState) -> StreamState:
