@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import threading
+import unicodedata
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.events.object_filter import Strict
@@ -74,6 +75,13 @@ class DrawnZone(Strict):
     kind: Literal["zone", "line"] = "zone"
     polygon: Annotated[tuple[tuple[_Share, _Share], ...], Field(max_length=500)] | None = None
     was: str | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _is_one_line(cls, name: str) -> str:
+        if any(unicodedata.category(character) in ("Cc", "Zl", "Zp") for character in name):
+            raise ValueError("a name is one line, without control characters")
+        return name
 
     @model_validator(mode="after")
     def _is_somewhere(self) -> DrawnZone:

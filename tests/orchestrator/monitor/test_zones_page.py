@@ -167,6 +167,7 @@ def test_without_a_token_zones_are_shown_and_never_written(
         ({"name": "yard", "polygon": DOOR["polygon"]}, 409, "Two zones are named 'yard'"),
         ({"name": "", "polygon": DOOR["polygon"]}, 422, "zones.2.name"),
         ({"name": "door", "polygon": [[0, 2], [1, 1], [1, 0]]}, 422, "less than or equal to 1"),
+        ({"name": "do\x85or", "polygon": DOOR["polygon"]}, 422, "a name is one line"),
         ({"name": "door"}, 422, "the new zone 'door' has no points"),
         ({"name": "door", "fixed_to": "scene", "polygon": DOOR["polygon"]}, 422, "zones.2.fixed_to"),
         ({"name": "door", "was": "gone"}, 409, "There is no zone 'gone' any more"),
