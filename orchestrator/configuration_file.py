@@ -61,8 +61,8 @@ _OPTIONS_HEAD = """\
 
 All flags of [the command](command_line.md). The last column says when another value takes effect in a run
 that has begun. *Within seconds* needs `--watch` and a value in the
-[file of cameras](command_line.md#a-file-of-cameras), or in a file that the flag names; else, as for a flag
-itself, it is the next start with `--resume`.
+[file of cameras](command_line.md#a-file-of-cameras), or in the file of `--zones`; a flag itself takes effect
+at the next start with `--resume`.
 
 This page is written by `scripts/configuration` from
 [`orchestrator/options.py`](../orchestrator/options.py). Do not edit it by hand.

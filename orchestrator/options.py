@@ -137,7 +137,7 @@ class Arguments:
             "FILE",
             read=Path,
             write=values.absolute,
-            effect=Effect.EPOCH,
+            effect=Effect.NEXT_START,
             page="configuration.md",
         ),
     ] = None

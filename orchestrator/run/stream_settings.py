@@ -19,7 +19,10 @@ from orchestrator.run.retention_limits import HOUR, Keep
 
 __all__ = ["StreamSettings", "changes_between", "settings_of", "words_of_changes"]
 
-_EFFECTS = {name: option.effect for name, option in options()} | {"rules": Effect.AT_ONCE}
+_EFFECTS = {name: option.effect for name, option in options()} | {
+    "config": Effect.EPOCH,
+    "rules": Effect.AT_ONCE,
+}
 
 #: Most differences that a message lists.
 _MOST_CHANGES = 3

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
@@ -13,6 +15,7 @@ from orchestrator.options import Effect
 from orchestrator.run.listed_stream import StreamsFile
 from orchestrator.run.stream_list import parse_stream_list, read_stream_list
 from orchestrator.run.stream_settings import StreamSettings, changes_between, settings_of
+from orchestrator.yaml_file import masked_yaml
 
 CAMERAS = """\
 defaults:
@@ -136,3 +139,81 @@ def test_a_change_takes_effect_when_its_option_says(
     now = asked(read(tmp_path, CAMERAS.replace(before, after)), "gate").described()
     assert changes_between(was, now) == effects
     assert changes_between(was, was) == {}
+
+
+def test_a_mistake_in_the_defaults_leaves_every_camera_as_it_was(tmp_path: Path) -> None:
+    good = read(tmp_path, CAMERAS)
+    parsed = read(tmp_path, CAMERAS.replace("max_side: 960", "max_side: nine"), good)
+    for name in ("gate", "lane"):
+        assert asked(parsed, name).described() == asked(good, name).described()
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("  door: {source: rtsp://cam/door, was: gate}", "'gate' is a stream of this file"),
+        ("  door: {source: rtsp://cam/door, was: 7}", "7 is a stream"),
+        ("  door: {source: rtsp://cam/door, save: }", "save has no value; leave the key out"),
+        ('  door: {source: rtsp://cam/door, set: {layers.lookahead: "2024-13-45"}}', "month"),
+        ("  on: rtsp://cam/door", "True is no text in YAML; put the name in quotes"),
+        ("  007: rtsp://cam/door", "7 is no text in YAML"),
+        ('  "\\ud83d\\ude00": rtsp://cam/door', "control character"),
+        ('  "a\\0b": rtsp://cam/door', "control character"),
+        ("  cameras-0001.yaml: rtsp://cam/door", "name of a file of the run"),
+        ('  door: "rtsp://cam/\\ud83d\\ude00"', "source"),
+        ("  GATE: rtsp://cam/door", "some disks take 'GATE' for 'gate'"),
+    ],
+)
+def test_whatever_stands_there_is_a_fault_and_ends_nothing(tmp_path: Path, entry: str, words: str) -> None:
+    good = read(tmp_path, CAMERAS)
+    parsed = read(tmp_path, f"{CAMERAS}{entry}\n", good)
+    assert {one.name for one in good.streams} <= {one.name for one in parsed.streams}
+    assert re.search(words, " ".join(parsed.faults.values())), parsed.faults
+    assert parsed.text is None  # it is no version to go on with
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        '"mqtt://bob:pa[ss@broker/t"',
+        '"mqtt://bob:s3cret@:x/t"',
+        "bob:s3cret@broker/t",
+        "{a: b}",
+        '"mqtt://h"',
+    ],
+)
+def test_a_target_that_cannot_be_used_is_a_fault_without_its_password(tmp_path: Path, url: str) -> None:
+    good = read(tmp_path, f"events: [{{url: mqtt://broker/t}}]\n{CAMERAS}")
+    parsed = read(tmp_path, f"events: [{{url: {url}}}]\n{CAMERAS}", good)
+    assert parsed.targets == good.targets
+    assert list(parsed.faults) == [1]
+    assert not any(secret in parsed.faults[1] for secret in ("pa[ss", "s3cret"))
+
+
+def test_aliases_of_aliases_are_read_in_no_time(tmp_path: Path) -> None:
+    lines = ["a0: &a0 [x, x]", *(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12))]
+    parsed = read(tmp_path, "\n".join([*lines, CAMERAS]))
+    assert [one.name for one in parsed.streams] == ["gate", "lane"]
+
+
+def test_a_kept_version_says_the_same_without_any_secret() -> None:
+    text = """\
+# once rtsp://bob:old@cam/
+events:
+  - {url: "mqtt://bob:s3cret@broker/t", kinds: [rule]}
+  - {url: mqtt://b/c, password: s3cret}
+  - url: bob:s3cret@broker/t
+streams:
+  gate: {source: "http://cam/x?token=s3cret", save: masks}   # the yard
+  lane: "rtsp:\\/\\/bob:s3cret@cam/h"
+  road: {source: 'rtmp://cam/live/s3cret', max_side: 960}
+"""
+    hidden = masked_yaml(text)
+    assert "s3cret" not in hidden
+    assert "old" not in hidden
+    was, now = yaml.safe_load(text), yaml.safe_load(hidden)
+    assert now["streams"].keys() == was["streams"].keys()
+    assert now["streams"]["gate"] == {"source": "http://cam/x?token=***", "save": "masks"}
+    assert now["streams"]["road"]["max_side"] == 960
+    assert now["events"][0] == {"url": "mqtt://***@broker/t", "kinds": ["rule"]}
+    assert "# the yard" in hidden
