@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from orchestrator.credentials import MASK
 from orchestrator.options import recorded
 from orchestrator.run.cameras_file import parse_cameras
 from orchestrator.run.edited_files import newest_version
+from orchestrator.run.identity import other_source
 from orchestrator.run.listed_stream import ListedStream, StreamsFile
 from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.stream_settings import words_of_changes
@@ -23,11 +24,14 @@ from orchestrator.sinks.record import has_snapshot, recorded_frames
 from orchestrator.sources.address import SourceAddress, parse_address
 
 __all__ = [
+    "Outset",
     "earlier_streams",
     "ended_before",
     "gone_from_list",
     "is_known",
+    "outset_of",
     "with_new_names",
+    "without_source",
     "words_on_resuming",
 ]
 
@@ -79,6 +83,64 @@ def with_new_names(
 def is_known(source: SourceAddress) -> bool:
     """Whether no part of an address is hidden."""
     return MASK not in source.location
+
+
+@dataclass(frozen=True, slots=True)
+class Outset:
+    """Which streams a run begins with.
+
+    Attributes
+    ----------
+    streams : tuple of ListedStream
+        Those that it has; without ``--watch`` also those that have failed already.
+    faults : mapping of str to str
+        Names of those that cannot run → why, a sentence.
+    ended : mapping of str to StreamState
+        Streams that are not started.
+    """
+
+    streams: tuple[ListedStream, ...]
+    faults: Mapping[str, str]
+    ended: Mapping[str, StreamState]
+
+
+def outset_of(
+    folder: RunFolder,
+    streams: Sequence[ListedStream],
+    recorded: Mapping[str, str],
+    missing: Mapping[str, str],
+    *,
+    watch: bool,
+) -> Outset:
+    """Return which streams begin.
+
+    Parameters
+    ----------
+    folder : RunFolder
+    streams : sequence of ListedStream
+        That are listed.
+    recorded : mapping of str to str
+        Names of streams with a record → their sources.
+    missing : mapping of str to str
+        Names of streams without a source → what is wrong.
+    watch : bool
+        Whether what cannot run is ignored until it is corrected, or else fails.
+    """
+    if not watch:
+        failed = {one.name: without_source(one, missing[one.name]) for one in streams if one.name in missing}
+        return Outset(tuple(streams), missing, failed)
+    faults = dict(missing)
+    for stream in streams:
+        fault = other_source(stream, recorded[stream.name]) if stream.name in recorded else None
+        if fault is not None:
+            faults[stream.name] = f"{fault[0].upper()}{fault[1:]}."
+    usable = tuple(stream for stream in streams if stream.name not in faults)
+    return Outset(usable, faults, gone_from_list(folder, recorded, usable, faults))
+
+
+def without_source(stream: ListedStream, fault: str) -> StreamState:
+    """Return the state of a stream whose source is missing or cannot be read."""
+    return after_failure(StreamState(stream.name, line=stream.line), fault)
 
 
 def ended_before(folder: RunFolder, specs: Sequence[StreamSpec]) -> dict[str, StreamState]:

@@ -52,20 +52,20 @@ from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.driver import Driver, Observer
 from orchestrator.run.edit_zones import ZoneFiles
 from orchestrator.run.expected_time import words_on_expected_time
-from orchestrator.run.identity import other_source
 from orchestrator.run.job import Job
-from orchestrator.run.listed_stream import ListedStream, StreamsFile
+from orchestrator.run.listed_stream import StreamsFile
 from orchestrator.run.node_check import node_places
 from orchestrator.run.resumption import (
     ended_before,
-    gone_from_list,
+    outset_of,
     with_new_names,
+    without_source,
     words_on_resuming,
 )
 from orchestrator.run.retention import Retention
 from orchestrator.run.run_folder import RunFolder, StatusFile
 from orchestrator.run.stream_list import cameras_file, refuse_if_all
-from orchestrator.run.stream_state import StreamState, after_failure, exit_code, stopped, with_record
+from orchestrator.run.stream_state import StreamState, exit_code, stopped, with_record
 from orchestrator.run.versions import installed_versions
 from orchestrator.run.whole_overlays import make_all_whole
 from orchestrator.sinks.overlay import overlays, stream_remarks
@@ -117,7 +117,7 @@ def run(
     MlbsError
         If Ray cannot be started, or the run's own files cannot be written.
     """
-    folder, streams = RunFolder(arguments.output.resolve()), listed.streams
+    folder = RunFolder(arguments.output.resolve())
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         targets = None if listed.targets is None else all_targets(arguments.events, listed.targets)
         deliveries = Deliveries(targets, folder.path, log.warn, _page_of(arguments), lambda: job.cameras())
@@ -127,30 +127,29 @@ def run(
         if arguments.resume and folder.holds_run:
             hold.enter_context(folder.locked())
             try:
-                begun = with_new_names(folder, folder.description(), streams, log.say, deliveries.rename)
+                begun = with_new_names(
+                    folder, folder.description(), listed.streams, log.say, deliveries.rename
+                )
             except (OSError, sqlite3.Error) as error:
                 raise ConfigError(f"Cannot write to {folder.path}: {error}.") from None
         recorded = {} if begun is None else folder.recorded_sources(begun)
-        faults = dict(missing)
-        ended: dict[str, StreamState] = {}
-        if arguments.watch:
-            others = {
-                one.name: other_source(one, recorded[one.name]) for one in streams if one.name in recorded
-            }
-            faults |= {name: f"{fault[0].upper()}{fault[1:]}." for name, fault in others.items() if fault}
-        faulty = [stream for stream in streams if stream.name in faults]
-        if not arguments.watch:
-            ended |= {stream.name: _without_source(stream, faults[stream.name]) for stream in faulty}
-        else:  # bad lines are ignored until they are corrected
-            streams = tuple(stream for stream in streams if stream.name not in faults)
-            ended = gone_from_list(folder, recorded, streams, faults)
+        outset = outset_of(folder, listed.streams, recorded, missing, watch=arguments.watch)
+        ended, faults = dict(outset.ended), dict(outset.faults)
         # On a cluster the pictures come from other machines, through the shared folder.
         live = (
             None if arguments.monitor is None else (folder.path if arguments.address else scratch) / ".live"
         )
         before = None if begun is None else begun | {"sources": recorded if arguments.watch else {}}
-        listed = replace(listed, streams=tuple(streams))
-        job = Job(listed, arguments, config, folder, live, log.warn, deliveries, before)
+        job = Job(
+            replace(listed, streams=outset.streams),
+            arguments,
+            config,
+            folder,
+            live,
+            log.warn,
+            deliveries,
+            before,
+        )
         memory = node_memory()
         retention = Retention(folder.path, job.keeps, log.warn)
         status = StatusFile(
@@ -164,7 +163,7 @@ def run(
             log.say(words_on_resuming(begun, job.description, len(earlier)))
             ended |= earlier
         else:
-            folder.refuse_if_used([stream.name for stream in streams])
+            folder.refuse_if_used([stream.name for stream in outset.streams])
             if arguments.resume:
                 log.say(f"There is no run in {folder.path} yet; this is its first start.")
         due = [spec for spec in job.specs if spec.name not in ended]
@@ -172,14 +171,16 @@ def run(
         contents = survey.begin(_SURVEY_SECONDS)
         if not arguments.watch:
             bad = {name: mask(content.fault) for name, content in contents.items() if content.fault}
-            refuse_if_all(arguments.streams, streams, {**missing, **bad})
-            unreadable = [stream for stream in streams if stream.name in bad]
-            ended |= {stream.name: _without_source(stream, bad[stream.name]) for stream in unreadable}
-            faulty, faults = [*faulty, *unreadable], faults | bad
+            refuse_if_all(arguments.streams, listed.streams, {**missing, **bad})
+            ended |= {
+                one.name: without_source(one, bad[one.name]) for one in listed.streams if one.name in bad
+            }
+            faults |= bad
             due = [spec for spec in due if spec.name not in bad]
-        for stream in faulty:
-            place = f"{arguments.streams}, line {stream.line}: " if stream.line else ""
-            log.say(place + faults[stream.name], "error", stream.name)
+        for stream in listed.streams:
+            if stream.name in faults:
+                place = f"{arguments.streams}, line {stream.line}: " if stream.line else ""
+                log.say(place + faults[stream.name], "error", stream.name)
         onlookers: list[Observer] = []
         if at_work := bool(due) or arguments.watch:
             monitored = _monitored(arguments, live, folder.path, deliveries, log)
@@ -228,11 +229,6 @@ def _page_of(arguments: Arguments) -> str | None:
     if arguments.page is not None or monitor is None or not monitor.port or monitor.host in ("0.0.0.0", "::"):
         return arguments.page
     return f"http://{monitor.host}:{monitor.port}"
-
-
-def _without_source(stream: ListedStream, fault: str) -> StreamState:
-    """Return the state of a stream whose source is missing or cannot be read."""
-    return after_failure(StreamState(stream.name, line=stream.line), fault)
 
 
 @contextmanager
