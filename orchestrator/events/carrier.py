@@ -21,7 +21,7 @@ from orchestrator.events.mqtt import Mqtt
 from orchestrator.events.outbox import Outbox
 from orchestrator.events.senders import DeliveryError, RefusedEventError, Sender, Webhook
 from orchestrator.events.targets import MQTT_PORTS, EventTarget
-from orchestrator.sources.live_buffer import retry_seconds
+from orchestrator.retries import retry_seconds
 
 __all__ = ["Carrier", "Mail"]
 
