@@ -115,10 +115,11 @@ class Clips:
         shelf: ClipShelf | None = None
         while not self._stop.is_set():
             last = self._last_look.is_set()
-            with suppress(OSError, ValueError):  # the disk is away, or a line was just replaced: look again
+            with suppress(OSError):  # the disk is away: look again
                 shelf = shelf or ClipShelf(self._folder, self._settings.most, self._settings.most_bytes)
                 for events in sorted(self._folder.glob(f"*/{EVENTS}")):
-                    self._look(events, shelf, last)
+                    with suppress(OSError, ValueError):  # so is this folder's, or a line was just replaced
+                        self._look(events, shelf, last)
             if last:
                 return
             self._last_look.wait(_LOOK_SECONDS)
@@ -153,14 +154,18 @@ class Clips:
             None if video is not None else str(folder / PACKETS),
             None if video is None else str(video),
         )
-        fault: str | None = "the process that cuts it was lost"
+        fault: str | None = None
         for _ in range(_ATTEMPTS):
-            with suppress(CutterLostError):
+            try:
                 fault = self._cutter.cut(request)
                 break
-            if self._stop.is_set():
-                return False
-            remove_temporary(folder / CLIPS)
+            except CutterLostError as error:
+                if self._stop.is_set():
+                    return False
+                remove_temporary(folder / CLIPS)
+                fault = str(error)
+                if error.was_late:
+                    break
         if fault and not stream.has_fault:
             stream.has_fault = True
             self._say(f"A clip of {folder.name} cannot be made: {fault.rstrip('.')}.")

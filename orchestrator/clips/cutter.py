@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from contextlib import suppress
 from dataclasses import asdict
 
@@ -24,9 +25,23 @@ __all__ = ["Cutter", "CutterLostError"]
 
 _NICENESS = 10
 
+#: Longest time that a clip may take, s.
+_LONGEST_SECONDS = 60.0
+
 
 class CutterLostError(Exception):
-    """The process was lost before it answered."""
+    """The process was lost before it answered, or ended because it had not in time.
+
+    Attributes
+    ----------
+    was_late : bool
+        Whether it had time enough.
+    """
+
+    def __init__(self, *, was_late: bool) -> None:
+        late = f"the process that cuts it took more than {_LONGEST_SECONDS:g} s"
+        super().__init__(late if was_late else "the process that cuts it was lost")
+        self.was_late = was_late
 
 
 class Cutter:
@@ -46,14 +61,23 @@ class Cutter:
         process = self._started()
         assert process.stdin is not None  # pipes
         assert process.stdout is not None
-        answer = b""
+        answer, is_late = b"", threading.Event()
+
+        def give_up() -> None:
+            is_late.set()
+            process.kill()
+
+        timer = threading.Timer(_LONGEST_SECONDS, give_up)
+        timer.daemon = True
+        timer.start()
         with suppress(OSError):
             process.stdin.write(json.dumps(asdict(request)).encode() + b"\n")
             process.stdin.flush()
             answer = process.stdout.readline()
+        timer.cancel()
         if not answer.endswith(b"\n"):
             self._end()
-            raise CutterLostError
+            raise CutterLostError(was_late=is_late.is_set())
         fault = json.loads(answer)
         return None if fault is None else str(fault)
 
@@ -64,7 +88,7 @@ class Cutter:
 
     def _started(self) -> subprocess.Popen[bytes]:
         if self._closed:
-            raise CutterLostError
+            raise CutterLostError(was_late=False)
         if self._process is None:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", __name__],

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from orchestrator.events.clip_names import CLIPS
+from orchestrator.events.frame_names import in_order
 from orchestrator.storage.durable_files import remove_temporary
 
 __all__ = ["ClipShelf"]
@@ -45,10 +46,11 @@ class ClipShelf:
         self._size = 0
         found: dict[tuple[int, int], list[Path]] = {}
         for clips in folder.glob(f"*/{CLIPS}"):
-            remove_temporary(clips)
-            for path in clips.glob("*.mp4"):
-                stat = path.stat()
-                found.setdefault((stat.st_dev, stat.st_ino), []).append(path)
+            with suppress(OSError):  # what is wrong in one folder holds no other stream up
+                remove_temporary(clips)
+                for path in clips.glob("*.mp4"):
+                    stat = path.stat()
+                    found.setdefault((stat.st_dev, stat.st_ino), []).append(path)
         for one in sorted(map(_clip, found.values()), key=lambda clip: clip.made):
             self._add(one)
         self._limit()
@@ -63,7 +65,9 @@ class ClipShelf:
         """Whether a clip stays if it is made; not if it is older than those that had to stay."""
         clips = self._clips[path.parent]
         is_full = len(clips) >= self._most or self._size > _FULL * self._most_bytes
-        return not is_full or not clips or path >= min(clips[0].paths)
+        if not is_full or not clips:
+            return True
+        return in_order(path.name) >= min(in_order(one.name) for one in clips[0].paths)
 
     def _add(self, clip: _Clip) -> None:
         self._clips[clip.paths[0].parent].append(clip)
@@ -81,7 +85,8 @@ class ClipShelf:
         oldest = clips.popleft()
         self._size -= oldest.size
         for path in oldest.paths:
-            path.unlink(missing_ok=True)
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
 
 
 def _clip(paths: Sequence[Path]) -> _Clip:

@@ -21,7 +21,7 @@ from orchestrator.events.mqtt import Mqtt
 from orchestrator.events.outbox import Outbox
 from orchestrator.events.senders import DeliveryError, RefusedEventError, Sender, Webhook
 from orchestrator.events.targets import MQTT_PORTS, EventTarget
-from orchestrator.sources.live_buffer import retry_seconds
+from orchestrator.retries import retry_seconds
 
 __all__ = ["Carrier", "Mail"]
 
@@ -30,6 +30,9 @@ _REFUSED = "events-refused.jsonl"
 
 #: Between two looks at what Home Assistant is to be told, s.
 _LOOK_SECONDS = 0.1
+
+#: Longest wait of a target that came back for the end of what was still being sent to it, s.
+_LEAVING_SECONDS = 60.0
 
 #: Keys of an event that name a file of the stream's record, and those of its address.
 _LINKS = {"picture": "picture_url", "clip": "clip_url"}
@@ -64,6 +67,16 @@ class Mail:
 class Carrier:
     """Delivers to one target.
 
+    Parameters
+    ----------
+    target : EventTarget
+    name : str
+        Of the target, without secrets.
+    mail : Mail
+    before : Carrier, optional
+        One of the same target that was given up: it ends first, as the last that it does is to take back
+        what it has told.
+
     Attributes
     ----------
     name : str
@@ -72,12 +85,13 @@ class Carrier:
         When it stopped accepting events, seconds since 1970; None while it does.
     """
 
-    def __init__(self, target: EventTarget, name: str, mail: Mail) -> None:
+    def __init__(self, target: EventTarget, name: str, mail: Mail, before: Carrier | None = None) -> None:
         self.name = name
         self.away_since: float | None = None
         self._target = target
         self._key = target.key
         self._mail = mail
+        self._before = before
         self._failures = 0
         # Place of an event that was sent, and whether it was refused.
         self._unnoted: tuple[int, bool] | None = None
@@ -121,6 +135,9 @@ class Carrier:
             event.set()
 
     def _run(self) -> None:
+        if self._before is not None:
+            self._before._thread.join(_LEAVING_SECONDS)
+            self._before = None
         target = self._target
         home, sender = self._opened(target)
         while not self._stop.is_set():
@@ -213,6 +230,8 @@ class Carrier:
             )
 
     def _failed(self, reason: str) -> None:
+        if self._stop.is_set():
+            return  # nobody waits for it any more, and the outbox may be closed
         self._failures += 1
         if self._failures == 1:
             self.away_since = time.time()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from orchestrator.events.frame_names import frame_of
+
 __all__ = ["CLIPS", "clip_name", "forget_clips_before"]
 
 #: Folder of the clips, in the stream's.
@@ -19,5 +21,5 @@ def clip_name(frame: int, event_id: str) -> str:
 def forget_clips_before(folder: Path, frame: int) -> None:
     """Delete the clips in a stream's folder of events that began before a frame."""
     for path in (folder / CLIPS).glob("*.mp4"):
-        if path.name < f"{frame:08d}":
+        if frame_of(path.name) < frame:
             path.unlink(missing_ok=True)

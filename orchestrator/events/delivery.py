@@ -9,6 +9,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from itertools import count
@@ -21,7 +22,7 @@ from mlbs_actors.wording import count_of
 from orchestrator.events.carrier import Carrier, Mail
 from orchestrator.events.home_assistant import Camera
 from orchestrator.events.intake import Intake
-from orchestrator.events.outbox import Outbox
+from orchestrator.events.outbox import Outbox, Standing
 from orchestrator.events.targets import EventTarget
 
 __all__ = ["OUTBOX", "Backlog", "Deliveries"]
@@ -102,6 +103,8 @@ class Deliveries:
         self._cameras = cameras
         self._mail: Mail | None = None
         self._carriers: dict[str, Carrier] = {}
+        self._leaving: dict[str, Carrier] = {}  # of targets that are gone, and may come back
+        self._standings: dict[str, Standing] = {}  # as they were last known
         self._last: list[Backlog] | None = None  # as it was at the end
         self._lock = threading.Lock()  # one at a time takes events, or changes who gets them
         self._stop = threading.Event()
@@ -109,7 +112,17 @@ class Deliveries:
 
     def __enter__(self) -> Deliveries:
         if self._targets is not None:
-            self.retarget(self._targets)
+            try:
+                self.retarget(self._targets)
+            except sqlite3.Error as error:
+                self._stop.set()
+                if self._mail is not None:
+                    self._looking.join()
+                    self._mail.outbox.close()
+                path = self._folder / OUTBOX
+                raise ConfigError(
+                    f"--events: {path} cannot be written: {error}. See that its disk has room and allows it."
+                ) from None
         return self
 
     def __exit__(
@@ -159,12 +172,14 @@ class Deliveries:
             self._mail.intake.look()  # what has happened so far is for those who were there
             self._mail.outbox.retarget({key: target.wanted for key, target in wanted.items()})
             for key in self._carriers.keys() - wanted.keys():
-                self._carriers.pop(key).give_up()
+                self._leaving[key] = self._carriers.pop(key)
+                self._leaving[key].give_up()
             for key, target in wanted.items():
                 if key in self._carriers:
                     self._carriers[key].replace(target)
                 else:
-                    self._carriers[key] = Carrier(target, self._free_name(target), self._mail)
+                    before = self._leaving.pop(key, None)
+                    self._carriers[key] = Carrier(target, self._free_name(target), self._mail, before)
                     self._carriers[key].start()
 
     def rename(self, before: str, now: str) -> None:
@@ -178,22 +193,32 @@ class Deliveries:
         with self._lock:
             path = self._folder / OUTBOX
             if self._mail is not None:
-                self._mail.outbox.rename(before, now)
+                self._rename_with(self._mail.outbox, before, now)
             elif path.exists():
-                outbox = Outbox(path)
-                outbox.rename(before, now)
-                outbox.close()
-            (self._folder / before).rename(self._folder / now)
+                with closing(Outbox(path)) as outbox:
+                    self._rename_with(outbox, before, now)
+            else:
+                (self._folder / before).rename(self._folder / now)
 
     def backlogs(self) -> list[Backlog]:
-        """Return what each target has not acknowledged."""
+        """Return what each target has not acknowledged, as far as the disk can be read."""
         if self._mail is None or self._last is not None:
             return self._last or []
         found = []
         for key, carrier in list(self._carriers.items()):
-            standing = self._mail.outbox.standing(key)
+            with suppress(sqlite3.Error):  # of what the disk does not tell, the last that it told
+                self._standings[key] = self._mail.outbox.standing(key)
+            standing = self._standings.get(key, Standing())
             found.append(Backlog(carrier.name, standing.waiting, carrier.away_since, standing.refused))
         return found
+
+    def _rename_with(self, outbox: Outbox, before: str, now: str) -> None:
+        outbox.rename(before, now)
+        try:
+            (self._folder / before).rename(self._folder / now)
+        except OSError:
+            outbox.rename(now, before)
+            raise
 
     def _opened(self) -> Mail:
         path = self._folder / OUTBOX

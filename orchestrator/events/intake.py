@@ -42,17 +42,23 @@ class Intake:
         self._say = say
         self._seen: dict[str, tuple[int, ...]] = {}
         self._oldest: dict[str, int] = {}
-        self._faulty: set[str] = set()
+        self._faulty: set[Path] = set()
         self.censuses: dict[str, Census] = {}
 
     def look(self) -> bool:
         """Take what has come since the last time; return whether there was anything."""
+        try:
+            paths = sorted(self._folder.glob(f"*/{EVENTS}"))
+        except OSError as error:
+            self._complain(self._folder, "all streams", error)
+            return False
+        self._faulty.discard(self._folder)
         found = False
-        for path in sorted(self._folder.glob(f"*/{EVENTS}")):
+        for path in paths:
             try:
                 found |= self._look_into(path)
             except (OSError, sqlite3.Error) as error:
-                self._complain(path, str(getattr(error, "strerror", None) or error))
+                self._complain(path, path.parent.name, error)
             except (ValueError, KeyError, TypeError):
                 continue  # lines that are just replaced cannot be read for a moment
         return found
@@ -67,7 +73,7 @@ class Intake:
         self._drop_deleted(path, stream)
         self.censuses[stream] = self._outbox.take(stream, partial(lines_behind, path), final)
         self._seen[stream] = seen
-        self._faulty.discard(stream)
+        self._faulty.discard(path)
         return True
 
     def _drop_deleted(self, path: Path, stream: str) -> None:
@@ -79,11 +85,11 @@ class Intake:
             self._outbox.drop_before(stream, oldest)
             self._oldest[stream] = oldest
 
-    def _complain(self, path: Path, reason: str) -> None:
-        stream = path.parent.name
-        if stream not in self._faulty:
-            self._faulty.add(stream)
-            self._say(f"Events of {stream} wait: {reason.rstrip('.')} ({path}). It is tried again.")
+    def _complain(self, path: Path, whose: str, error: Exception) -> None:
+        if path not in self._faulty:
+            self._faulty.add(path)
+            reason = str(getattr(error, "strerror", None) or error).rstrip(".")
+            self._say(f"Events of {whose} wait: {reason} ({path}). It is tried again.")
 
 
 def lines_behind(path: Path, number: int) -> Iterator[bytes]:

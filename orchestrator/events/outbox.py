@@ -19,8 +19,12 @@ from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
+
+from pydantic import ValidationError
 
 from orchestrator.events.census import Census
+from orchestrator.events.event import EventKind
 from orchestrator.events.event_filter import EventFilter
 
 __all__ = ["Outbox", "Standing"]
@@ -87,7 +91,7 @@ class Outbox:
         try:
             self._db.executescript(_TABLES)
             self._wanted = {
-                target: EventFilter.model_validate_json(wanted)
+                target: _filter_of(wanted)
                 for target, wanted in self._db.execute("SELECT target, wanted FROM targets")
             }
             self._final: dict[str, tuple[int, Census]] = {
@@ -227,3 +231,11 @@ class Outbox:
         rows = self._db.execute("SELECT place, event FROM waiting WHERE target = ?", (target,))
         unwanted = [(place,) for place, event in rows if not wanted.wants(json.loads(event))]
         self._db.executemany("DELETE FROM waiting WHERE place = ?", unwanted)
+
+
+def _filter_of(text: str) -> EventFilter:
+    """Read a filter; for one of another version all waits until it is known what is wanted."""
+    try:
+        return EventFilter.model_validate_json(text)
+    except ValidationError:
+        return EventFilter(kinds=get_args(EventKind))

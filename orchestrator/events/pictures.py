@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array, LayerSummary, Region
+from orchestrator.events.frame_names import frame_of, in_order
 from orchestrator.pictures.drawing import Outline, draw_box, draw_caption, draw_outlines
 from orchestrator.storage.durable_files import remove_temporary, temporary_path
 
@@ -74,7 +75,7 @@ class EventPictures:
         pictures = folder / PICTURES
         pictures.mkdir(exist_ok=True)
         remove_temporary(pictures)
-        self._names = deque(sorted(path.name for path in pictures.glob("*.jpg")))
+        self._names = deque(sorted((path.name for path in pictures.glob("*.jpg")), key=in_order))
 
     def write(self, image: Array, frame: int, time: str, objects: Iterable[Pictured]) -> None:
         """Write one picture of each of these objects in a frame; OSError as the disk says."""
@@ -91,7 +92,7 @@ class EventPictures:
 
     def forget_before(self, frame: int) -> None:
         """Delete the pictures of the frames before a number."""
-        while self._names and self._names[0] < f"{frame:08d}":
+        while self._names and frame_of(self._names[0]) < frame:
             self._delete_oldest()
 
     def _picture(self, image: Array, time: str, one: Pictured) -> Array:

@@ -8,7 +8,7 @@ import urllib.request
 from collections.abc import Mapping
 from http.client import HTTPException
 from typing import Protocol
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit, urlunsplit
 
 from mlbs_actors.errors import MlbsError
 from orchestrator.events.targets import EventTarget
@@ -23,6 +23,9 @@ ANSWER_SECONDS = 10.0
 #: the wrong kind, not to be processed; and bad, which can mean the address, too. By others 4xx the address or
 #: the password is wrong, for all events.
 _REFUSALS, _BAD = frozenset({409, 413, 415, 422}), 400
+
+#: What stands in a path or a query as it is, besides letters and digits.
+_SAFE = "%/:=&?~+!$,;'@()*[]|"
 
 
 class DeliveryError(MlbsError):
@@ -65,20 +68,21 @@ class Webhook:
     """Sends each event as a POST of its JSON; any 2xx is an acknowledgement."""
 
     def __init__(self, target: EventTarget) -> None:
-        self._url = target.url
+        parts = urlsplit(target.url)
+        path, query = (quote(text, safe=_SAFE) for text in (parts.path, parts.query))
+        self._url = urlunsplit((parts.scheme, parts.netloc, path, query, ""))
         self._headers = {"Content-Type": "application/json", "User-Agent": "mlbs-actors"}
         if target.user is not None:
             pair = f"{target.user}:{target.password or ''}".encode()
             self._headers["Authorization"] = f"Basic {base64.b64encode(pair).decode()}"
         # What listens on this machine is not behind the network's proxy.
-        host = urlsplit(target.url).hostname or ""
-        proxies = [urllib.request.ProxyHandler({})] if is_loopback(host) else []
+        proxies = [urllib.request.ProxyHandler({})] if is_loopback(parts.hostname or "") else []
         self._opener = urllib.request.build_opener(_NoRedirect, *proxies)
 
     def send(self, event: bytes) -> None:
         """Send one event."""
-        request = urllib.request.Request(self._url, event, self._headers, method="POST")
         try:
+            request = urllib.request.Request(self._url, event, self._headers, method="POST")
             with self._opener.open(request, timeout=ANSWER_SECONDS) as answer:
                 answer.read(1 << 16)
         except urllib.error.HTTPError as error:
@@ -87,7 +91,7 @@ class Webhook:
             if error.code in _REFUSALS or error.code == _BAD:
                 raise RefusedEventError(words, is_certain=error.code != _BAD) from None
             raise DeliveryError(words) from None
-        except (OSError, HTTPException) as error:
+        except (OSError, HTTPException, ValueError) as error:  # the last of a host that cannot be one
             raise DeliveryError(str(getattr(error, "reason", error)) or type(error).__name__) from None
 
     def hold(self, messages: Mapping[str, bytes]) -> None:

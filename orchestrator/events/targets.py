@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -20,6 +21,10 @@ __all__ = ["MQTT_PORTS", "EventTarget", "TargetEntry", "all_targets", "parse_tar
 
 #: Ports of MQTT brokers where none is given.
 MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883}
+
+#: What may hold a password in an address that cannot be read, even if its scheme was forgotten: all up to the
+#: last @.
+_USER_INFO = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)?.*@", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,21 +117,28 @@ def parse_target(text: str) -> EventTarget:
     ConfigError
         If it is neither, or the package for MQTT is missing.
     """
-    parts = urlsplit(text)
+    shown = mask(_USER_INFO.sub(rf"\g<1>{MASK}@", text, count=1))
+    try:
+        parts = urlsplit(text)
+    except ValueError:
+        raise ConfigError(
+            f"--events: {shown} is no address; in a user or password, characters such as [ ] / # are written "
+            "as %5B %5D %2F %23."
+        ) from None
     try:
         port = parts.port
     except ValueError:
-        raise ConfigError(f"--events: the port of {mask(text)} is no number up to 65535.") from None
+        raise ConfigError(f"--events: the port of {shown} is no number up to 65535.") from None
     if parts.scheme not in (*MQTT_PORTS, "http", "https") or not parts.hostname:
         raise ConfigError(
             "--events takes mqtt://[USER:PASSWORD@]HOST[:PORT]/TOPIC, or mqtts: for TLS, http://HOST/PATH or "
-            f"https://HOST/PATH; not {mask(text)!r}."
+            f"https://HOST/PATH; not {shown!r}."
         )
     if parts.scheme in MQTT_PORTS:
         topic = parts.path.strip("/")
         if not topic or "+" in topic or parts.query or parts.fragment:
             raise ConfigError(
-                f"--events: {mask(text)} needs a topic behind the host, such as mqtt://HOST/yard/events, "
+                f"--events: {shown} needs a topic behind the host, such as mqtt://HOST/yard/events, "
                 "without wildcards."
             )
         if importlib.util.find_spec("paho") is None:

@@ -17,7 +17,7 @@ _KINDS = {
     PICTURES: (re.compile(r"\d{8,}-\d+\.jpg", re.ASCII), "image/jpeg"),
     CLIPS: (re.compile(r"\d{8,}-[0-9a-f]{8}\.mp4", re.ASCII), "video/mp4"),
 }
-_RANGE = re.compile(r"bytes=(\d*)-(\d*)", re.ASCII)
+_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)

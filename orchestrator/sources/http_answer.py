@@ -167,11 +167,11 @@ class _Digest(urllib.request.HTTPDigestAuthHandler):
             return None
         for challenge in headers.get_all("WWW-Authenticate", []):
             scheme, _, text = challenge.partition(" ")
-            fields = urllib.request.parse_keqv_list(
-                [one for one in urllib.request.parse_http_list(text) if "=" in one]
-            )
+            # The standard library cannot read a field without a value, such as an empty opaque.
+            given = [one for one in urllib.request.parse_http_list(text) if one.partition("=")[2]]
+            fields = urllib.request.parse_keqv_list(given)
             if scheme.lower() == "digest" and fields.get("algorithm", "MD5") in _HASHES:
-                return self.retry_http_digest_auth(req, challenge)
+                return self.retry_http_digest_auth(req, f"{scheme} {', '.join(given)}")
         return None
 
     def get_algorithm_impls(self, algorithm: str) -> tuple[Callable[[str], str], Callable[[str, str], str]]:

@@ -15,16 +15,10 @@ from functools import partial
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.source import SourceFrame, SourceSilence
+from orchestrator.retries import LONGEST_RETRY_SECONDS, retry_seconds
 from orchestrator.sources.address import SourceAddress
 from orchestrator.sources.connection import Connection, connect
-from orchestrator.sources.live_buffer import (
-    LONGEST_RETRY_SECONDS,
-    STALL_SECONDS,
-    LiveBuffer,
-    LiveTime,
-    Picture,
-    retry_seconds,
-)
+from orchestrator.sources.live_buffer import STALL_SECONDS, LiveBuffer, LiveTime, Picture
 from orchestrator.sources.packets import PacketStore
 
 __all__ = ["LiveReader"]

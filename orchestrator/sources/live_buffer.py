@@ -7,7 +7,6 @@ time without pictures a row ``gap``.
 from __future__ import annotations
 
 import math
-import random
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,18 +14,13 @@ from dataclasses import dataclass
 from mlbs_actors.messages import Array
 from mlbs_actors.source import SourceFrame, SourceStatus
 
-__all__ = ["LONGEST_RETRY_SECONDS", "STALL_SECONDS", "LiveBuffer", "LiveTime", "Picture", "retry_seconds"]
+__all__ = ["STALL_SECONDS", "LiveBuffer", "LiveTime", "Picture"]
 
 #: Silence that counts as a stall, and as a gap in the record, s.
 STALL_SECONDS = 5.0
 
 #: Pictures kept; few, because the newest are wanted.
 CAPACITY = 2
-
-#: Longest time between two attempts to connect, s.
-LONGEST_RETRY_SECONDS = 30.0
-
-_FIRST_RETRY_SECONDS = 0.5
 
 #: Largest deviation of a camera's clock from this machine's before it is reset, s.
 _MOST_DRIFT_SECONDS = 5.0
@@ -52,16 +46,6 @@ class Picture:
     time: float | None
     convert: Callable[[], Array | None]
     concealed: bool = False
-
-
-def retry_seconds(failures: int) -> float:
-    """Return the time to wait before the next attempt to connect, s.
-
-    It doubles with every failure up to a bound, and is randomised, so that many cameras behind one switch are
-    not all tried at once.
-    """
-    longest = min(_FIRST_RETRY_SECONDS * 2.0 ** min(failures - 1, 16), LONGEST_RETRY_SECONDS)
-    return random.uniform(0.5, 1.0) * longest
 
 
 class LiveTime:

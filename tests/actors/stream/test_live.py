@@ -22,12 +22,13 @@ from http_camera import PICTURES, http_camera
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
 from mlbs_actors.source import SourceFrame, SourceSilence
+from orchestrator.retries import retry_seconds
 from orchestrator.sources import live
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.connection import Connection, LibavConnection, connect
 from orchestrator.sources.libav import reason
 from orchestrator.sources.live import LiveReader
-from orchestrator.sources.live_buffer import CAPACITY, LiveBuffer, LiveTime, Picture, retry_seconds
+from orchestrator.sources.live_buffer import CAPACITY, LiveBuffer, LiveTime, Picture
 
 
 def image(value: int) -> Array:

@@ -14,6 +14,7 @@ import av
 import pytest
 from coded_video import record, write_video
 
+from orchestrator.clips import cutter as cutter_module
 from orchestrator.clips.clips import Clips
 from orchestrator.clips.cutter import Cutter, CutterLostError
 from orchestrator.clips.packet_ring import PACKETS, PacketRing
@@ -150,7 +151,7 @@ def test_a_clip_at_which_the_cutter_is_lost_each_time_is_given_up_and_the_next_o
 
     def cut(cutter: Cutter, request: object) -> str | None:
         if request.begin < BEGAN + 10:  # type: ignore[attr-defined]
-            raise CutterLostError
+            raise CutterLostError(was_late=False)
         return whole(cutter, request)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Cutter, "cut", cut)
@@ -201,3 +202,49 @@ def test_only_the_newest_clips_are_made_and_kept(run: Path) -> None:
         with clips(run, settings=settings):
             pass
         assert names(run) == {name for _, name in lines[1:]}
+
+
+def test_a_clip_that_takes_too_long_is_given_up_and_the_next_one_made(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (bad, _), (good, name) = event(50, 5), event(100, 20)
+    (run / "gate/events.jsonl").write_text(bad + good)
+    whole = Cutter._started
+    hung: list[int] = []
+    said: list[str] = []
+
+    def started(cutter: Cutter) -> object:
+        process = whole(cutter)
+        monkeypatch.setattr(cutter_module, "_LONGEST_SECONDS", 200.0 if hung else 0.1)
+        if not hung:
+            os.kill(process.pid, signal.SIGSTOP)
+            hung.append(process.pid)
+        return process
+
+    monkeypatch.setattr(Cutter, "_started", started)
+    with clips(run, say=said.append):
+        wait_for(lambda: names(run) == {name})
+    assert said == ["A clip of gate cannot be made: the process that cuts it took more than 0.1 s."]
+    with pytest.raises(ProcessLookupError):
+        os.kill(hung[0], 0)
+
+
+def test_a_folder_that_cannot_be_read_holds_no_other_stream_up(run: Path) -> None:
+    (run / "a/events.jsonl").mkdir(parents=True)
+    line, name = event(50, 10)
+    (run / "gate/events.jsonl").write_text(line)
+    with clips(run):
+        pass
+    assert names(run) == {name}
+
+
+def test_clips_of_long_runs_go_in_the_order_of_their_frames(tmp_path: Path) -> None:
+    folder = tmp_path / "gate"
+    (folder / "clips").mkdir(parents=True)
+    for frame in (99_990_000, 100_000_010, 100_000_020):
+        (folder / clip_name(frame, "x")).write_bytes(b"")
+    (folder / "clips/by hand.mp4").write_bytes(b"")
+    forget_clips_before(folder, 99_999_999)
+    assert names(tmp_path) == {clip_name(100_000_010, "x"), clip_name(100_000_020, "x"), "clips/by hand.mp4"}
+    forget_clips_before(folder, 100_000_020)
+    assert names(tmp_path) == {clip_name(100_000_020, "x"), "clips/by hand.mp4"}

@@ -66,3 +66,10 @@ def test_remains_of_a_clip_that_was_never_finished_are_deleted(tmp_path: Path) -
     part.write_bytes(b"")
     ClipShelf(tmp_path, most=3, most_bytes=10_000)
     assert not part.exists()
+
+
+def test_a_clip_of_a_ninth_digit_is_newer_than_one_of_eight(tmp_path: Path) -> None:
+    for number in (99_990_000, 99_990_001):
+        clip(tmp_path, "gate", number)
+    shelf = ClipShelf(tmp_path, most=2, most_bytes=10_000)
+    assert shelf.takes(tmp_path / "gate/clips/100000010-ffffffff.mp4")

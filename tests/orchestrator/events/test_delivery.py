@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import signal
+import sqlite3
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -25,6 +27,8 @@ from orchestrator.events import senders as senders_module
 from orchestrator.events.delivery import OUTBOX, Deliveries
 from orchestrator.events.event import EventKind
 from orchestrator.events.event_filter import EventFilter
+from orchestrator.events.home_assistant import Camera
+from orchestrator.events.outbox import Outbox
 from orchestrator.events.senders import RefusedEventError
 from orchestrator.events.targets import EventTarget, parse_target
 from orchestrator.events.zones import EventRules, Zone
@@ -421,3 +425,124 @@ def test_an_end_waits_for_all_targets_together(tmp_path: Path, monkeypatch: pyte
     assert sum("could not be delivered" in words for words in said) == 3
     for server in away:
         server.stop()
+
+
+def test_a_disk_that_is_gone_leaves_the_figures_as_they_were(
+    tmp_path: Path, webhook: Webhook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*_: object) -> None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    webhook.away = True
+    gate = recorded(tmp_path)
+    with Deliveries([target_of(webhook.url)], tmp_path, print) as deliveries:
+        write(gate, 0, 20)
+        wait_until(lambda: deliveries.backlogs()[0].waiting == len(ids(tmp_path / "gate")))
+        with monkeypatch.context() as patch:
+            patch.setattr(Outbox, "standing", gone)
+            assert deliveries.backlogs()[0].waiting == len(ids(tmp_path / "gate"))
+        webhook.away = False
+
+
+def test_a_disk_that_is_full_at_the_start_is_reported_with_what_to_do(
+    tmp_path: Path, webhook: Webhook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    deliveries = Deliveries([target_of(webhook.url)], tmp_path, print)
+    with monkeypatch.context() as patch:
+        patch.setattr(Outbox, "retarget", full)
+        with pytest.raises(ConfigError, match=r"database or disk is full.* has room"), deliveries:
+            pass
+    with Deliveries([target_of(webhook.url)], tmp_path, print):
+        pass  # the one before has let the outbox go
+
+
+@pytest.mark.parametrize("at_work", [True, False])
+def test_a_stream_that_cannot_be_renamed_is_not_sent_again(
+    tmp_path: Path, webhook: Webhook, at_work: bool
+) -> None:
+    gate = recorded(tmp_path)
+    (tmp_path / "road").write_bytes(b"in the way")
+    targets = [target_of(webhook.url)]
+    with Deliveries(targets, tmp_path, print) as deliveries:
+        write(gate, 0, 20)
+        wait_until(lambda: webhook.ids == ids(tmp_path / "gate"))
+        if at_work:
+            with pytest.raises(NotADirectoryError):
+                deliveries.rename("gate", "road")
+    if not at_work:
+        deliveries = Deliveries(None, tmp_path, print)
+        with pytest.raises(NotADirectoryError):
+            deliveries.rename("gate", "road")
+    with Deliveries(targets, tmp_path, print):
+        write(gate, 20, 60)
+        gate.close(whole=True)
+    assert webhook.ids == ids(tmp_path / "gate")
+
+
+class Slow:
+    """A sender whose events take until they are let go; ``held`` is what its broker holds."""
+
+    asked, let_go = threading.Event(), threading.Event()
+    held: dict[str, bytes]
+
+    def __init__(self, *_: object) -> None:
+        self.told: dict[str, bytes] = {}
+
+    def send(self, event: bytes) -> None:
+        Slow.asked.set()
+        Slow.let_go.wait()
+
+    def hold(self, messages: Mapping[str, bytes]) -> None:
+        for topic in self.told.keys() - messages.keys():
+            Slow.held.pop(topic, None)
+        Slow.held |= messages.items() - self.told.items()
+        self.told = dict(messages)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> type[Slow]:
+    Slow.asked.clear()
+    Slow.let_go.clear()
+    Slow.held = {}
+    for name in ("Mqtt", "Webhook"):
+        monkeypatch.setattr(carrier_module, name, Slow)
+    return Slow
+
+
+def test_an_answer_that_comes_after_the_end_is_no_fault(
+    tmp_path: Path, slow: type[Slow], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(delivery_module, "_GRACE_SECONDS", 0.05)
+    said: list[str] = []
+    gate = recorded(tmp_path)
+    with Deliveries([target_of("http://host/hook")], tmp_path, said.append) as deliveries:
+        write(gate, 0, 20)
+        slow.asked.wait()
+        [carrier] = deliveries._carriers.values()
+    slow.let_go.set()
+    carrier._thread.join()
+    assert len(said) == 1
+    assert "could not be delivered" in said[0]
+
+
+def test_a_target_that_comes_back_while_it_is_sent_to_keeps_what_it_is_told(
+    tmp_path: Path, slow: type[Slow]
+) -> None:
+    target = replace(target_of("mqtt://host/yard"), home_assistant="homeassistant")
+    gate = recorded(tmp_path)
+    cameras = [Camera("gate", ("yard",))]
+    with Deliveries([target], tmp_path, print, cameras=lambda: cameras) as deliveries:
+        write(gate, 0, 20)
+        slow.asked.wait()
+        deliveries.retarget([])
+        deliveries.retarget([target])
+        time.sleep(0.2)  # for one that would not wait
+        slow.let_go.set()
+        gate.close(whole=True)
+    assert any(topic.endswith("/config") for topic in slow.held)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -379,4 +380,40 @@ def test_a_stream_that_gets_another_name_is_not_sent_again(tmp_path: Path, at_wo
     road.append(event_of("road", 40, 40))
     intake.look()
     assert outbox.standing("hook").waiting == 35
+    outbox.close()
+
+
+def test_a_folder_that_cannot_be_listed_is_said_once_and_listed_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(path: Path, pattern: str) -> Any:
+        raise OSError(errno.EIO, "Input/output error")
+
+    stream = Stream(tmp_path / "gate")
+    outbox = Outbox(tmp_path / "outbox")
+    said: list[str] = []
+    intake = Intake(tmp_path, outbox, said.append)
+    outbox.retarget({"a": EventFilter()})
+    stream.append(event_of("gate", 1, "one"))
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "glob", fails)
+        assert [intake.look(), intake.look()] == [False, False]
+    assert said == [f"Events of all streams wait: Input/output error ({tmp_path}). It is tried again."]
+    assert intake.look()
+    assert outbox.standing("a").waiting == 1
+    outbox.close()
+
+
+def test_a_filter_of_another_version_is_replaced_by_the_one_of_now(tmp_path: Path) -> None:
+    stream = Stream(tmp_path / "gate")
+    outbox = Outbox(tmp_path / "outbox")
+    outbox.retarget({"a": EventFilter()})
+    outbox._db.execute("""UPDATE targets SET wanted = '{"moods": ["born"]}'""")
+    outbox._db.commit()
+    outbox.close()
+    stream.append(*(event_of("gate", number, number, kind) for number, kind in enumerate(KINDS, 1)))
+    outbox = Outbox(tmp_path / "outbox")
+    Intake(tmp_path, outbox, print).look()
+    outbox.retarget({"a": EventFilter(kinds=("born", "left"))})
+    assert outbox.standing("a").waiting == 2
     outbox.close()

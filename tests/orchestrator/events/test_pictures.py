@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors.messages import Array, LayerSummary, Region
-from orchestrator.events.pictures import EventPictures, Pictured, picture_name
+from orchestrator.events.pictures import PICTURES, EventPictures, Pictured, picture_name
 from orchestrator.pictures.drawing import Outline
 from orchestrator.pictures.layer_colours import layer_colour
 
@@ -77,3 +77,12 @@ def test_the_id_can_be_left_out(tmp_path: Path) -> None:
     one = Pictured(thing(Region(300, 220, 40, 100)))
     white = [(written(tmp_path, image, one, ids=ids)[40:] > 230).all(axis=2).sum() for ids in (True, False)]
     assert white[0] > white[1] + 20
+
+
+def test_pictures_of_long_runs_are_deleted_in_the_order_of_their_frames(tmp_path: Path) -> None:
+    (tmp_path / PICTURES).mkdir()
+    frames = (99_990_000, 100_000_010, 100_000_020)
+    for frame in frames:
+        (tmp_path / picture_name(frame, 3)).write_bytes(b"")
+    EventPictures(tmp_path).forget_before(100_000_020)
+    assert [(tmp_path / picture_name(frame, 3)).exists() for frame in frames] == [False, False, True]

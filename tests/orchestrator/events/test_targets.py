@@ -105,6 +105,10 @@ def test_a_webhook_that_does_not_accept_has_not_taken_the_event(
         ("http:///x", "takes mqtt://"),
         ("http://host:99999/x", "no number up to 65535"),
         ("mqtt://bob:s3cret@host", "needs a topic"),
+        ("mqtt://bob:s3cret[x@host/t", "is no address.*%5B"),
+        ("mqtt://bob:s3cret x@host:port/t", "no number up to 65535"),
+        ("bob:s3cret@host/t", r"not '\*\*\*@host/t'"),
+        ("//bob:s3cret@host/t", "takes mqtt://"),
         ("mqtt://bob:s3cret@host/yard/+", "without wildcards"),
     ],
 )
@@ -192,3 +196,15 @@ def test_a_fault_in_what_an_operator_writes_is_told_without_the_password() -> No
         targets_of([TargetEntry(url="http://bob:s3cret@host/x", home_assistant="homeassistant")])
     assert "s3cret" not in str(refused.value)
     assert "s3cret" not in repr(TargetEntry(url="http://bob:s3cret@host/x"))
+
+
+def test_a_webhook_may_have_a_path_in_any_letters(webhook: WebhookServer) -> None:
+    Webhook(parse_target(webhook.url.replace("/hook", "/hook/Süd x?a=ü%20"))).send(b'{"id": "a"}')
+    assert webhook.ids == ["a"]
+
+
+def test_a_host_that_cannot_be_is_one_that_does_not_take_the_event() -> None:
+    for host in ("a..b", "ü" * 70, "a b"):
+        with pytest.raises(DeliveryError) as refused:
+            Webhook(parse_target(f"http://{host}/hidden")).send(b"{}")
+        assert "hidden" not in str(refused.value)

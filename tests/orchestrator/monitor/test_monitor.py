@@ -244,6 +244,12 @@ def test_a_player_gets_the_part_of_a_clip_that_it_asks_for(
     assert answer.getheader("Content-Range") == (whole if status == 206 else None)
 
 
+def test_a_part_at_a_place_of_thousands_of_digits_is_none(url: str, clip: bytes) -> None:
+    for asked in (f"bytes={'9' * 5000}-", f"bytes=-{'9' * 5000}", f"bytes=0-{'9' * 5000}"):
+        answer, body = get(url, f"/records/yard/{CLIP}", Range=asked)
+        assert (answer.status, body) == (200, clip)
+
+
 def test_a_part_that_a_clip_does_not_have_is_refused(url: str, clip: bytes) -> None:
     for asked in (f"bytes={len(clip)}-", "bytes=9-3", "bytes=-0"):
         answer, body = get(url, f"/records/yard/{CLIP}", Range=asked)

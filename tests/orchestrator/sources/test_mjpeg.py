@@ -200,7 +200,8 @@ def _digest(known: Page, hash_name: str, asked: list[str]) -> Page:
         request.send_response(401)
         request.send_header("WWW-Authenticate", 'Digest realm="camera", nonce="7", algorithm=SHA-512-256')
         request.send_header(
-            "WWW-Authenticate", f'Digest realm="camera", nonce="7", qop="auth", algorithm={hash_name}'
+            "WWW-Authenticate",
+            f'Digest realm="camera", nonce="7", qop="auth", opaque=, algorithm={hash_name}',
         )
         request.end_headers()
 
