@@ -6,6 +6,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+import pytest
 from camera_server import PASSWORD, camera, free_port, needs_rtsp_server
 
 from mlbs_actors.messages import Array
@@ -21,6 +22,7 @@ def _ball(image: Array) -> float:
     return float(np.argmax(image[..., :3].mean(axis=(0, 2))))
 
 
+@pytest.mark.long
 @needs_rtsp_server
 def test_a_clip_shows_each_frame_at_the_time_at_which_it_was_taken(tmp_path: Path) -> None:
     port, taken = free_port(), dict[float, float]()

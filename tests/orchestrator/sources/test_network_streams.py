@@ -93,7 +93,9 @@ def test_a_transport_stream_over_tcp_is_read(video: bytes) -> None:
     assert len(times) == 40
 
 
-@pytest.mark.parametrize("address", ["udp://@:{}", "udp://127.0.0.1:{}"])
+@pytest.mark.parametrize(
+    "address", ["udp://@:{}", pytest.param("udp://127.0.0.1:{}", marks=pytest.mark.long)]
+)
 def test_a_transport_stream_that_is_sent_to_this_machine_is_read(video: bytes, address: str) -> None:
     port = free_port()
     with udp_sender(port, video, 2.0):
@@ -160,6 +162,7 @@ def test_a_playlist_is_played_at_its_own_speed_and_no_picture_is_dropped() -> No
     assert len(times) == 40
 
 
+@pytest.mark.long
 def test_a_live_playlist_grows_and_its_end_is_a_lost_connection() -> None:
     parts = {f"/{number}.ts": page("video/mp2t", encoded("mpegts", 20, number)) for number in range(4)}
     asked = iter(range(10_000))
