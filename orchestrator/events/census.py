@@ -23,14 +23,14 @@ class Census:
         How many objects went over each line to its ``left`` and ``right``.
     lost : bool
         Whether the source is away.
-    picture : str, optional
-        The newest picture of an event, in the stream's folder.
+    pictures : dict of str to (int, str)
+        The number of the newest event of each kind that has a picture, and that, in the stream's folder.
     """
 
     inside: dict[str, set[int]] = field(default_factory=dict)
     crossed: dict[str, dict[str, int]] = field(default_factory=dict)
     lost: bool = False
-    picture: str | None = None
+    pictures: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     @classmethod
     def read(cls, text: str) -> Census:
@@ -53,7 +53,8 @@ class Census:
             ways[event["direction"]] += 1
         elif kind in ("stream lost", "stream back"):
             self.lost = kind == "stream lost"
-        self.picture = event.get("picture") or self.picture
+        if event.get("picture"):
+            self.pictures[kind] = event["number"], event["picture"]
 
 
 _CENSUS = TypeAdapter(Census)

@@ -128,7 +128,8 @@ class HomeAssistant:
             states[self._topic(name, "lines", line)] = _json(
                 {"left": 0, "right": 0} | census.crossed.get(line, {})
             )
-        if (picture := self._newest_picture(name, census.picture)) is not None:
+        wanted = [one for kind, one in census.pictures.items() if kind in self._wanted.wanted_kinds]
+        if (picture := self._newest_picture(name, max(wanted)[1] if wanted else None)) is not None:
             states[self._topic(name, "picture")] = picture
         return states
 

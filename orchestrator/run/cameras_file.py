@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -174,9 +175,12 @@ class _Parser:
                 complete &= key in before.options
                 if key in before.options:
                     values[key] = before.options[key]
-        for key in entry.keys() - _OPTIONS.keys() - EventSettings.model_fields.keys():
-            known = ", ".join([*_OPTIONS, *EventSettings.model_fields])
-            self._fault([*place, str(key)], f"there is no key {key!r}; known are source, was, {known}")
+        known = ["source", "was", *EventSettings.model_fields, *_OPTIONS]
+        for key in entry.keys() - set(known):
+            near = get_close_matches(str(key), known, 1)
+            advice = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+            self._fault([*place, str(key)], f"there is no key {key!r}; {advice}")
+            complete = False  # what it was to say is not known
         asked = {key: whole[key] for key in EventSettings.model_fields if key in whole}
         try:
             rules = EventSettings.model_validate(asked) if asked else None

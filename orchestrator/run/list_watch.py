@@ -75,6 +75,7 @@ class ListWatch:
         self._recorded = recorded
         self._present = {stream.name: stream for stream in begun.streams}
         self._targets = begun.targets
+        self._is_faulty = bool(begun.faults) or begun.targets is None
         self._file = FileWatch(path, clock)
 
     def look(self) -> ListChange | None:
@@ -87,12 +88,16 @@ class ListWatch:
                 self._path, StreamsFile(tuple(self._present.values()), {}, None, self._targets)
             )
         except ConfigError as error:
-            self._report(f"{error} Nothing is changed.")
+            self._report(f"{str(error).rstrip('.')}. Nothing is changed.")
+            self._is_faulty = True
             return None
         faults = dict(parsed.faults)
         usable = [stream for stream in parsed.streams if self._is_usable(stream, faults)]
         for number, fault in sorted(faults.items()):
             self._report(f"{self._path}, line {number}: {fault}. The line is ignored until it is mended.")
+        if self._is_faulty and not faults:
+            self._report(f"{self._path} can be used again, all of it.")
+        self._is_faulty = bool(faults)
         listed = {stream.name for stream in parsed.streams}
         removed = [name for name in self._present if name not in listed]
         if faults:

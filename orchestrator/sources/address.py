@@ -15,7 +15,7 @@ from pathlib import Path
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from mlbs_actors.errors import ConfigError
-from orchestrator.credentials import mask
+from orchestrator.credentials import MASK, mask
 from orchestrator.sources.scene_scripts import SCRIPTS
 from orchestrator.sources.synthetic import LIMITS, SCHEME
 
@@ -53,7 +53,8 @@ class SourceAddress:
         Absolute path, or the whole URI. May contain a password, so it is not part of ``repr``; show
         ``str(address)``, which hides it.
     default_name : str
-        Last part of the path, without extension, wildcards and credentials; may be invalid as a name.
+        Last part of the path, without extension, wildcards and credentials; may be invalid as a name. Of an
+        address of RTMP the part before it, as the last one may be a key.
     """
 
     kind: SourceKind
@@ -175,7 +176,7 @@ def _network_address(text: str) -> SourceAddress:
             ) from None
     # The name is taken from the masked text: a password may look like any other part.
     visible = mask(text).partition("://")[2].partition("?")[0].rstrip("/")
-    host_and_path = visible.rpartition("@")[2]
+    host_and_path = visible.rpartition("@")[2].removesuffix(f"/{MASK}")
     name = host_and_path.rpartition("/")[2] if "/" in host_and_path else host_and_path.partition(":")[0]
     return SourceAddress(SourceKind.NETWORK, text, Path(name).stem if "/" in host_and_path else name)
 

@@ -66,7 +66,7 @@ def test_each_camera_has_its_own_values_then_the_defaults_then_those_of_the_comm
     [
         ("max_side: 960", "max_side: nine", 2, "max_side 'nine' is not a whole number"),
         ("save: masks", "save: maks", 9, "knows no 'maks'"),
-        ("save: masks", "sav: masks", 9, "there is no key 'sav'"),
+        ("save: masks", "sav: masks", 9, "no key 'sav'; did you mean save?"),
         ("label_cost: 9", "lable_cost: 9", 10, "did you mean"),
         ("[1, 1]", "[1, one]", 11, "zones"),
         ("rtsp://bob", "ftp://bob", 8, "source: 'ftp' is no known kind"),
@@ -89,7 +89,7 @@ def test_a_value_that_cannot_be_used_is_told_with_its_line_and_the_one_before_st
         if "../" not in after or stream.name != "lane":  # whose name is gone
             kept = asked(parsed, stream.name).described()
             if before != "max_side: 960":
-                assert kept == asked(good, stream.name).described() or after == "sav: masks"
+                assert kept == asked(good, stream.name).described()
             assert now[stream.name].source == stream.source
     with pytest.raises(ConfigError, match=f"line {line}:"):
         read_stream_list(tmp_path / "cameras.yaml")

@@ -87,7 +87,9 @@ def test_a_bad_line_is_told_and_ignored_until_it_is_mended(watched: Watched, bad
     assert watched.told[0].endswith("The line is ignored until it is mended.")
     assert watched.look() is None
     assert named(watched.change("a.mp4\nb.mp4\nc.mp4\nd.mp4\n")) == (["c"], [])
-    assert len(watched.told) == 1
+    assert [text.rpartition("/")[2] for text in watched.told[1:]] == [
+        "list.txt can be used again, all of it."
+    ]
 
 
 def test_nothing_ends_while_a_line_is_bad(watched: Watched) -> None:

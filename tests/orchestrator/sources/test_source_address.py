@@ -39,7 +39,7 @@ def test_capitals_in_a_scheme_change_nothing(text: str) -> None:
         ("udp://@:5000", "udp-5000"),
         ("udp://@239.1.2.3:5000?localaddr=10.0.0.7", "239.1.2.3"),
         ("tcp://gate.local:99/", "gate.local"),
-        ("rtmp://bob:hunter2@cam/live/yard?token=x", "yard"),
+        ("rtmp://bob:hunter2@cam/live/hunter2?token=x", "live"),
         ("srt://cam:9000?passphrase=hunter2", "cam"),
         ("https://cam/hls/gate.m3u8", "gate"),
     ],
