@@ -12,7 +12,8 @@ from mlbs_actors.errors import ConfigError
 from orchestrator.command_options import command_parser, flag_of
 from orchestrator.events.zones import ZonesFile, read_zones
 from orchestrator.mistaken_flags import refuse_source_behind, unknown_flag
-from orchestrator.options import DEFAULT_OUTPUT, Arguments, Form, options
+from orchestrator.option import Form
+from orchestrator.options import DEFAULT_OUTPUT, Arguments, options
 from orchestrator.program import command_line_of
 from orchestrator.run.argument_streams import DEMO, argument_address, default_output
 from orchestrator.run.edited_files import newest_version

@@ -6,7 +6,8 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from orchestrator.options import Form, options
+from orchestrator.option import Form
+from orchestrator.options import options
 from orchestrator.program import program_name, python_name
 
 __all__ = ["command_parser", "flag_of"]

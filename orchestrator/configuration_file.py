@@ -20,7 +20,8 @@ from pydantic.fields import FieldInfo
 
 from mlbs_actors.config import Config
 from orchestrator.command_options import flag_of
-from orchestrator.options import Form, Option, options
+from orchestrator.option import Form, Option
+from orchestrator.options import options
 
 __all__ = [
     "Parameter",

@@ -5,9 +5,8 @@ file of cameras, the command that goes on, what ``run.json`` holds, the check at
 the docs come from there. Nothing has to be installed for it but Python.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
@@ -15,6 +14,7 @@ from orchestrator import option_values as values
 from orchestrator.credentials import PASSWORD_VARIABLE
 from orchestrator.log import FORMATS, LogFormat
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
+from orchestrator.option import Effect, Form, Option
 
 if TYPE_CHECKING:
     from orchestrator.clips.settings import ClipSettings
@@ -23,82 +23,10 @@ if TYPE_CHECKING:
     from orchestrator.ignored import Ignored
     from orchestrator.run.retention_limits import Keep
 
-__all__ = ["DEFAULT_OUTPUT", "Arguments", "Effect", "Form", "Option", "options", "recorded"]
+__all__ = ["DEFAULT_OUTPUT", "Arguments", "options", "recorded"]
 
 #: Where the results of a list go.
 DEFAULT_OUTPUT = Path("out")
-
-
-class Form(Enum):
-    """How an option is given."""
-
-    VALUE = "FLAG VALUE"
-    FLAG = "FLAG"
-    REPEATED = "FLAG VALUE, again for more"
-    WORDS = "FLAG VALUE VALUE ..."
-    OPTIONAL_VALUE = "FLAG, or FLAG VALUE"
-
-
-class Effect(Enum):
-    """When another value of an option takes effect in a run that has begun."""
-
-    FIXED = "never: it belongs to a run"
-    NEXT_START = "at the next start"
-    AT_ONCE = "within seconds"
-    RESTART = "within seconds, as the stream's processes start again"
-    EPOCH = "within seconds, as the stream's processes start again with a new epoch: all ids are new"
-
-
-@dataclass(frozen=True, slots=True)
-class Option:
-    """An option.
-
-    Attributes
-    ----------
-    meaning : str
-        A sentence without its full stop.
-    metavar : str
-        Stands for its value in the help.
-    form : Form
-    read : callable
-        Turns what was given, a text or for ``REPEATED`` and ``WORDS`` a list of texts, into the value; raises
-        ConfigError.
-    write : callable, optional
-        Turns a value into the texts that give it again, from any folder; None if the command that goes on
-        does not need it.
-    record : callable, optional
-        Turns a value into what ``run.json`` holds of it; None if it holds nothing.
-    effect : Effect
-    of_streams : bool
-        Whether a file of cameras can give it for each stream.
-    page : str
-        Where the docs say more.
-    """
-
-    meaning: str
-    metavar: str = ""
-    form: Form = Form.VALUE
-    read: Callable[[Any], Any] = values.as_given
-    write: Callable[[Any], Sequence[str]] | None = None
-    record: Callable[[Any], object] | None = None
-    effect: Effect = Effect.NEXT_START
-    of_streams: bool = False
-    page: str = ""
-
-    def value(self, name: str, raw: str | list[str] | bool) -> Any:
-        """Return the value of what was given.
-
-        Raises
-        ------
-        ConfigError
-            If it is not understood; the message begins with ``name``.
-        """
-        from mlbs_actors.errors import ConfigError
-
-        try:
-            return self.read(raw)
-        except ValueError as error:
-            raise ConfigError(f"{name} {error}") from None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

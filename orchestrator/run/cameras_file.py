@@ -27,7 +27,8 @@ from mlbs_actors.errors import ConfigError, SourceError
 from orchestrator.credentials import mask
 from orchestrator.events.targets import EventTarget, TargetEntry, targets_of
 from orchestrator.events.zones import EventSettings
-from orchestrator.options import Form, options
+from orchestrator.option import Form
+from orchestrator.options import options
 from orchestrator.run.listed_stream import ListedStream, OwnSettings, StreamsFile, check_name
 from orchestrator.sources.address import SourceAddress, parse_address
 from orchestrator.yaml_file import YamlFile, faults_of, line_of, read_yaml

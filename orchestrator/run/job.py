@@ -20,7 +20,8 @@ from orchestrator.events.delivery import Deliveries
 from orchestrator.events.home_assistant import Camera
 from orchestrator.events.targets import EventTarget, all_targets
 from orchestrator.events.zones import read_zones
-from orchestrator.options import Arguments, Effect, recorded
+from orchestrator.option import Effect
+from orchestrator.options import Arguments, recorded
 from orchestrator.run.driver import SpecChange
 from orchestrator.run.edited_files import keep_version
 from orchestrator.run.file_watch import FileWatch

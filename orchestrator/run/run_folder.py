@@ -22,7 +22,8 @@ from mlbs_actors.errors import ConfigError
 from orchestrator.command_options import flag_of
 from orchestrator.credentials import mask
 from orchestrator.events.delivery import Backlog
-from orchestrator.options import Effect, options
+from orchestrator.option import Effect
+from orchestrator.options import options
 from orchestrator.run.identity import goes_on, is_camera
 from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.stream_settings import words_of_changes

@@ -12,7 +12,8 @@ from mlbs_actors.config import Config, with_overrides
 from orchestrator.clips.settings import has_clips
 from orchestrator.events.zones import EventRules
 from orchestrator.ignored import IgnoredFile
-from orchestrator.options import Arguments, Effect, options
+from orchestrator.option import Effect
+from orchestrator.options import Arguments, options
 from orchestrator.pictures.content import Drawing
 from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.retention_limits import HOUR, Keep

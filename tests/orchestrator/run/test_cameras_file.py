@@ -11,7 +11,7 @@ import yaml
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from orchestrator.command_line import parse
-from orchestrator.options import Effect
+from orchestrator.option import Effect
 from orchestrator.run.listed_stream import StreamsFile
 from orchestrator.run.stream_list import parse_stream_list, read_stream_list
 from orchestrator.run.stream_settings import StreamSettings, changes_between, settings_of
