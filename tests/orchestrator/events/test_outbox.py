@@ -8,6 +8,7 @@ import os
 import shutil
 import sqlite3
 import tempfile
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -288,8 +289,11 @@ def test_no_memory_is_shared_as_the_folder_may_be_on_a_network(tmp_path: Path) -
     outbox = Outbox(tmp_path / "outbox")
     outbox.retarget({"a": EventFilter()})
     assert sorted(path.name for path in tmp_path.iterdir()) == ["outbox", "outbox-wal"]
-    with pytest.raises(sqlite3.OperationalError, match="locked"):
-        sqlite3.connect(tmp_path / "outbox", timeout=0).execute("SELECT * FROM targets")
+    with (
+        closing(sqlite3.connect(tmp_path / "outbox", timeout=0)) as other,
+        pytest.raises(sqlite3.OperationalError, match="locked"),
+    ):
+        other.execute("SELECT * FROM targets")
     outbox.close()
 
 
