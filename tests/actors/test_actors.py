@@ -82,6 +82,7 @@ def test_a_layer_moves_to_a_process_of_its_own_as_soon_as_there_is_one_with_the_
     pictures = [picture(t) for t in range(4)] + [picture(t, live=[1, 2, 3]) for t in range(4, 120)]
     stream = node.start(spec("three", FakeReader([*pictures], tmp_path)))
     read = _read_on(stream, 8)
+    wait_until(partial(_has_busy, node, 1))
     assert node.census().busy == 1
     late.let_start()
     for busy in (2, 3, 4):  # a process is asked for when the one before has its layer

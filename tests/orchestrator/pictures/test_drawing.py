@@ -131,7 +131,7 @@ def test_a_zone_is_drawn_thin_where_it_is_in_a_smaller_picture_too() -> None:
 def test_a_caption_that_is_too_long_is_written_smaller() -> None:
     picture = np.full((240, 160, 3), 90, np.uint8)
     draw_caption(picture, "2026-05-04 11:15:31.7 CEST")
-    written = np.nonzero((picture == 255).all(axis=2))
+    written = np.nonzero((picture > 150).all(axis=2))
     assert written[1].max() < 158
     assert written[0].max() < 16
 
