@@ -17,7 +17,7 @@ from orchestrator.options import DEFAULT_OUTPUT, Arguments, options
 from orchestrator.program import command_line_of
 from orchestrator.run.argument_streams import DEMO, argument_address, default_output
 from orchestrator.run.edited_files import newest_version
-from orchestrator.run.retention_limits import HOUR
+from orchestrator.run.retention_limits import segment_with
 
 __all__ = ["command_again", "parse"]
 
@@ -57,9 +57,7 @@ def parse(argv: Sequence[str]) -> Arguments:
     values["zones"] = _zones(values.get("zones"), resumed)
     arguments = Arguments(**values)
     _refuse_together(arguments)
-    if arguments.keep is not None and arguments.segment is None:
-        return replace(arguments, segment=HOUR)
-    return arguments
+    return replace(arguments, segment=segment_with(arguments.segment, arguments.keep))
 
 
 def command_again(arguments: Arguments, output: str) -> list[str]:

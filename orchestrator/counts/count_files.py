@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pyarrow.parquet as pq
 
 from orchestrator.counts.table import HEADER, csv_rows, table_of
-from orchestrator.counts.tally import HEAT_COLUMNS, HEAT_ROWS, PICTURE, CountState, Tally
+from orchestrator.counts.tally import HEAT_COLUMNS, HEAT_ROWS, PICTURE, CountState, HourCounts, Tally
 from orchestrator.storage.durable_files import temporary_path
+from orchestrator.storage.share_of_time import ShareOfTime
 
 __all__ = ["COUNTS_CSV", "COUNTS_JSON", "COUNTS_PARQUET", "CountFiles"]
 
@@ -41,8 +42,7 @@ class CountFiles:
     def __init__(self, folder: Path, stream: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._folder = folder
         self._stream = stream
-        self._clock = clock
-        self._due = -float("inf")
+        self._writing = ShareOfTime(_SHARE_OF_TIME, _LEAST_SECONDS, clock)
 
     @property
     def length(self) -> int:
@@ -61,9 +61,13 @@ class CountFiles:
         at_once : bool
             Whether to write them in any case.
         """
-        begun, closed = self._clock(), tally.take_closed()
-        if not (closed or at_once) and begun < self._due:
+        closed = tally.take_closed()
+        if not (closed or at_once or self._writing.is_due):
             return []
+        with self._writing.spent():
+            return self._written(tally, closed)
+
+    def _written(self, tally: Tally, closed: Sequence[HourCounts]) -> list[Path]:
         path = self._folder / COUNTS_CSV
         certain = path.read_bytes()[: tally.state.closed_bytes] if path.exists() else b""
         certain = (certain or HEADER.encode()) + csv_rows(self._stream, closed).encode()
@@ -74,8 +78,6 @@ class CountFiles:
         table, summary = self._folder / COUNTS_PARQUET, self._folder / COUNTS_JSON
         pq.write_table(table_of(content), temporary_path(table))
         temporary_path(summary).write_text(_summary(self._stream, tally.state) + "\n", encoding="utf-8")
-        ended = self._clock()
-        self._due = ended + max(_LEAST_SECONDS, (ended - begun) / _SHARE_OF_TIME)
         return [path, table, summary]
 
 

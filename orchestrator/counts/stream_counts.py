@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from orchestrator.counts.count_files import COUNTS_CSV, COUNTS_JSON
 from orchestrator.counts.table import HEADER
+from orchestrator.storage.last_lines import last_lines
 
 __all__ = ["CountReader", "Heat", "StreamCounts", "recent_hours"]
 
@@ -98,11 +98,6 @@ class CountReader:
 
 def recent_hours(folder: Path, most: int) -> list[dict[str, str]]:
     """Return the last rows of a stream's ``counts.csv``, in its order, at most so many."""
-    try:
-        with (folder / COUNTS_CSV).open("rb") as file:
-            begin = max(file.seek(0, os.SEEK_END) - most * _ROW_BYTES, len(HEADER) - 1)
-            file.seek(begin)
-            lines = file.read().decode(errors="replace").split("\n")[1:]  # the first one was cut off
-    except (OSError, ValueError):
-        return []
-    return list(csv.DictReader(lines[-most - 1 :], HEADER.rstrip("\n").split(",")))
+    header = HEADER.rstrip("\n")
+    rows = [line for line in last_lines(folder / COUNTS_CSV, most, _ROW_BYTES) if line != header]
+    return list(csv.DictReader(rows, header.split(",")))

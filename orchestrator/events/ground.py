@@ -11,15 +11,17 @@ from orchestrator.events.zones import Zone
 from orchestrator.rows.frame_row import ResultRow
 from orchestrator.rows.scene_place import Point
 
-__all__ = ["crossing", "is_inside", "on_ground"]
+__all__ = ["crossing", "foot_of", "is_inside", "on_ground"]
+
+
+def foot_of(region: Region) -> Point:
+    """Return where something with this box stands, px: where the middle of its lowest row of pixels is."""
+    return region.x + region.width / 2, region.y + region.height - 0.5
 
 
 def on_ground(region: Region, zone: Zone, result: ResultRow) -> tuple[Point, Sequence[Point]] | None:
-    """Return where something stands, and a zone's corners, px; None while the zone's place is unknown.
-
-    It stands where the middle of its box's lowest row of pixels is.
-    """
-    foot = region.x + region.width / 2, region.y + region.height - 0.5
+    """Return where something stands, and a zone's corners, px; None while the zone's place is unknown."""
+    foot = foot_of(region)
     if zone.fixed_to == "picture":
         return foot, zone.corners(result.shape)
     in_first = None if result.scene is None else result.scene.back(foot)

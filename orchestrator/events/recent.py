@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 from orchestrator.events.event_file import EVENTS
+from orchestrator.storage.last_lines import last_lines
 
 __all__ = ["RecentEvents", "recent_events"]
 
@@ -17,15 +17,7 @@ _EVENT_BYTES = 4000
 
 def recent_events(folder: Path, most: int) -> list[dict[str, Any]]:
     """Return the last events of a stream in the order of its file, at most so many."""
-    try:
-        with (folder / EVENTS).open("rb") as file:
-            begin = max(file.seek(0, os.SEEK_END) - most * _EVENT_BYTES, 0)
-            file.seek(begin)
-            lines = file.read().split(b"\n")
-    except OSError:
-        return []
-    whole = lines[bool(begin) : -1]  # the first one was cut off, the last one is empty or being written
-    return [json.loads(line) for line in whole[-most:]]
+    return [json.loads(line) for line in last_lines(folder / EVENTS, most, _EVENT_BYTES)]
 
 
 class RecentEvents:

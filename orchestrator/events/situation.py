@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from orchestrator.counts.tally import Situation
+from orchestrator.events.ground import foot_of
 from orchestrator.events.happenings import HOLD, Happenings
 from orchestrator.rows.frame_row import FrameRow
 
@@ -27,7 +28,6 @@ def situation_after(row: FrameRow, happenings: Happenings) -> Situation | None:
         objects += 1
         inside.update(zone for zone, presence in one.zones.items() if presence.inside)
         if one.missing == 0:
-            region = one.seen.region
-            feet.append((region.x + region.width / 2, region.y + region.height - 0.5))
+            feet.append(foot_of(one.seen.region))
     places = {zone.name: zone.kind for zone in happenings.rules.zones}
     return Situation(places, objects, inside, feet, row.result.shape)

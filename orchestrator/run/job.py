@@ -281,14 +281,13 @@ class Job:
         asked = recorded({name: getattr(given, name) for name in given.__slots__})
         command = command_again(given, f"{self._folder.path}-again")
         description = describe_run(list(self._streams.values()), self._config, asked, command, before)
-        described = {name: one.described() for name, one in self._settings.items()}
         shared = description | settings_of(_NOBODY, given, self._config).described()
         own = {
-            name: {key: value for key, value in values.items() if value != shared[key]}
-            for name, values in described.items()
+            name: {key: value for key, value in asked.described().items() if value != shared[key]}
+            for name, asked in self._settings.items()
             if self._streams[name].own != OwnSettings()
         }
-        others = {key: one for key, one in description["settings"].items() if key not in described}
+        others = {key: one for key, one in description["settings"].items() if key not in self._settings}
         return description | {"settings": others | own}
 
     def _spec(self, stream: ListedStream) -> StreamSpec:

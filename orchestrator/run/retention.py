@@ -23,6 +23,7 @@ from orchestrator.run.retention_limits import Keep
 from orchestrator.run.stream_state import StreamState
 from orchestrator.storage.commit_log import Commit, forget_segment, permanent, read_commits
 from orchestrator.storage.segments import segment_folders, segment_time
+from orchestrator.storage.share_of_time import ShareOfTime
 from orchestrator.storage.snapshot_folder import SNAPSHOTS
 
 __all__ = ["Retention"]
@@ -82,7 +83,7 @@ class Retention:
         self._keeps = keeps
         self._say = say
         self._clock = clock
-        self._due = -float("inf")
+        self._looking = ShareOfTime(_SHARE_OF_TIME, _LOOK_SECONDS)
         self._sizes: dict[Path, int] = {}  # of merged segments, bytes
         self._used: dict[str | None, _Used] = {}
         self._begins: dict[str, dict[str, Any]] = {}
@@ -90,12 +91,10 @@ class Retention:
 
     def update(self, states: Sequence[StreamState]) -> None:
         """Look at the folder, unless that took place a moment ago."""
-        begun = time.monotonic()
-        if begun >= self._due and self._keeps():
-            with suppress(OSError):  # a file was deleted under our feet, or the disk has gone
+        if self._looking.is_due:
+            # The disk may have gone, or a file was deleted under our feet.
+            with self._looking.spent(), suppress(OSError):
                 self.apply()
-            ended = time.monotonic()
-            self._due = ended + max(_LOOK_SECONDS, (ended - begun) / _SHARE_OF_TIME)
 
     @property
     def figures(self) -> dict[str, Any] | None:
@@ -118,6 +117,8 @@ class Retention:
         """
         limits = self._keeps()
         self._used = {owner: _Used() for owner in limits}
+        if not limits:
+            return
         for stream in sorted(path.parent for path in self._folder.glob("*/commits.jsonl")):
             used = self._used.get(stream.name, self._used.get(None))
             if used is None:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 from mlbs_actors.errors import ConfigError
 
-__all__ = ["HOUR", "Keep", "parse_keep", "parse_segment"]
+__all__ = ["Keep", "parse_keep", "parse_segment", "segment_with"]
 
-HOUR = 3600  # s
-_SEGMENTS = {"hour": HOUR, "day": 24 * HOUR}
-_AGES = {"m": 60, "h": HOUR, "d": 24 * HOUR, "w": 7 * 24 * HOUR}
+_HOUR = 3600  # s
+_SEGMENTS = {"hour": _HOUR, "day": 24 * _HOUR}
+_AGES = {"m": 60, "h": _HOUR, "d": 24 * _HOUR, "w": 7 * 24 * _HOUR}
 _SIZES = {"MB": 10**6, "GB": 10**9, "TB": 10**12, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40}
 
 
@@ -33,6 +33,11 @@ class Keep:
     seconds: int | None = None
     size: int | None = None
     words: tuple[str, ...] = ()
+
+
+def segment_with(segment: int | None, keep: Keep | None) -> int | None:
+    """Return the length of segments, s, if so much is kept: whole segments are deleted, by default hours."""
+    return _HOUR if segment is None and keep is not None else segment
 
 
 def parse_segment(text: str) -> int:

@@ -16,7 +16,7 @@ from orchestrator.option import Effect
 from orchestrator.options import Arguments, options
 from orchestrator.pictures.content import Drawing
 from orchestrator.run.listed_stream import ListedStream
-from orchestrator.run.retention_limits import HOUR, Keep
+from orchestrator.run.retention_limits import Keep, segment_with
 
 __all__ = ["StreamSettings", "changes_between", "settings_of", "words_of_changes"]
 
@@ -90,7 +90,7 @@ def settings_of(stream: ListedStream, arguments: Arguments, config: Config) -> S
     if "set" in own:
         config = with_overrides(config, own["set"])
     ignored = own.get("ignore", arguments.ignore)
-    segment = HOUR if values["keep"] is not None and values["segment"] is None else values["segment"]
+    segment = segment_with(values["segment"], values["keep"])
     remembered = config.layers.dormant_frames
     rules = arguments.zones.rules_of(stream.name, remembered)
     if stream.own.rules is not None:

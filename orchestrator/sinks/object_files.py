@@ -13,6 +13,7 @@ from orchestrator.sinks.object_list import ListState, ObjectList
 from orchestrator.storage.commit_log import read_commits
 from orchestrator.storage.durable_files import publish, temporary_path
 from orchestrator.storage.record_tables import read_rows
+from orchestrator.storage.share_of_time import ShareOfTime
 
 __all__ = ["OBJECTS_CSV", "OBJECTS_JSON", "ObjectFiles"]
 
@@ -45,8 +46,7 @@ class ObjectFiles:
         self._stream = stream
         self._objects = _continued(folder)
         self._provisional = False
-        self._clock = clock
-        self._due = -float("inf")
+        self._writing = ShareOfTime(_SHARE_OF_TIME, clock=clock)
 
     def add(self, rows: Iterable[FrameRow], *, provisional: bool) -> None:
         """Add committed rows; write the files unless that took place a moment ago.
@@ -59,7 +59,7 @@ class ObjectFiles:
         """
         self._objects.add(rows)
         self._provisional |= provisional
-        if self._clock() >= self._due:
+        if self._writing.is_due:
             self.write(complete=False)
 
     def forget_before(self, frame: int) -> None:
@@ -68,7 +68,10 @@ class ObjectFiles:
 
     def write(self, *, complete: bool) -> None:
         """Write the files; ``complete`` if the stream came to its end."""
-        begun = self._clock()
+        with self._writing.spent():
+            self._write(complete=complete)
+
+    def _write(self, *, complete: bool) -> None:
         contents = {
             OBJECTS_CSV: self._objects.csv(complete=complete),
             OBJECTS_JSON: self._objects.json(self._stream, complete=complete),
@@ -81,8 +84,6 @@ class ObjectFiles:
         publish(paths)
         if complete:
             (self._folder / _STATE).unlink(missing_ok=True)
-        ended = self._clock()
-        self._due = ended + (ended - begun) / _SHARE_OF_TIME
 
 
 def _continued(folder: Path) -> ObjectList:

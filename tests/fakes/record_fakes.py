@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mlbs_actors.actors.stream.protocol import Snapshot
 from mlbs_actors.config import Config
 from mlbs_actors.messages import LayerSummary, Region, Segmentation
 from mlbs_actors.source import SourceFrame
@@ -19,6 +20,15 @@ from orchestrator.sources.address import parse_address
 
 HEIGHT, WIDTH = 36, 50
 EVERYTHING = frozenset({"masks", "parquet", "overlay"})
+
+
+def bare_snapshot(record: StreamRecord, rows: int) -> Snapshot:
+    """A snapshot after so many rows, whose files are complete."""
+    assert record.opening.snapshots is not None
+    folder = record.opening.snapshots / f"{rows:08d}"
+    folder.mkdir(parents=True)
+    (folder / "part").write_bytes(b"")
+    return Snapshot(folder, rows, rows, ())
 
 
 def segmentation(index: int, layer: int = 3, *more: int) -> Segmentation:

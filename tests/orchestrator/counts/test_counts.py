@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from record_fakes import HEIGHT, WIDTH, frame, segmentation
+from record_fakes import HEIGHT, WIDTH, bare_snapshot, frame, segmentation
 
-from mlbs_actors.actors.stream.protocol import Snapshot
 from mlbs_actors.source import SourceFrame
 from orchestrator.counts.tally import HEAT_COLUMNS, PICTURE, CountState, Situation, Tally, heat_cell
 from orchestrator.events.zones import EventRules, Zone
@@ -67,15 +66,6 @@ def rows_of(folder: Path) -> list[dict[str, str]]:
 def summary(folder: Path) -> dict[str, Any]:
     content: dict[str, Any] = json.loads((folder / "counts.json").read_text())
     return content
-
-
-def snapshot(one: StreamRecord, rows: int) -> Snapshot:
-    """A snapshot after so many rows, whose files are complete."""
-    assert one.opening.snapshots is not None
-    folder = one.opening.snapshots / f"{rows:08d}"
-    folder.mkdir(parents=True)
-    (folder / "part").write_bytes(b"")
-    return Snapshot(folder, rows, rows, ())
 
 
 @pytest.fixture(scope="module")
@@ -204,10 +194,10 @@ def test_a_kill_between_any_two_steps_of_a_commit_changes_no_count(
 def test_a_camera_counts_by_the_hours_of_the_clock_and_only_what_is_committed(tmp_path: Path) -> None:
     one = record(tmp_path, live=True)
     write(one, 0, 120, live=True)
-    assert one.keep(snapshot(one, 90))
+    assert one.keep(bare_snapshot(one, 90))
     again = record(tmp_path, live=True)  # killed: rows 90 to 119 are gone
     write(again, 90, 95, live=True)
-    assert again.keep(snapshot(again, 95))
+    assert again.keep(bare_snapshot(again, 95))
     again.close(whole=False)
     rows = [row for row in rows_of(tmp_path) if row["place"] == PICTURE]
     assert [row["begins"] for row in rows] == ["2023-11-14T22:00:00Z", "2023-11-14T23:00:00Z"]
@@ -223,7 +213,7 @@ def test_deleting_what_is_old_leaves_the_counts(tmp_path: Path) -> None:
         begin = 0
         for end in (32, 64, 96, 128, 160, FRAMES):
             write(one, begin, end, live=True)
-            assert one.keep(snapshot(one, end))
+            assert one.keep(bare_snapshot(one, end))
             begin = end
             if folder.name == "newest" and end == 160:
                 assert forget_segment(folder, segment_folders(folder)[0].name)

@@ -9,9 +9,8 @@ from typing import Any
 
 import cv2
 import pytest
-from record_fakes import frame, segmentation
+from record_fakes import bare_snapshot, frame, segmentation
 
-from mlbs_actors.actors.stream.protocol import Snapshot
 from orchestrator.events.rules import Rule
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.sinks.record import StreamRecord
@@ -37,15 +36,6 @@ def write(one: StreamRecord, begin: int, end: int) -> None:
 
 def lines(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
-
-
-def snapshot(one: StreamRecord, rows: int) -> Snapshot:
-    """A snapshot after so many rows, whose files are complete."""
-    assert one.opening.snapshots is not None
-    folder = one.opening.snapshots / f"{rows:08d}"
-    folder.mkdir(parents=True)
-    (folder / "part").write_bytes(b"")
-    return Snapshot(folder, rows, rows, ())
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +158,7 @@ def test_a_record_that_was_closed_as_whole_may_be_closed_again(tmp_path: Path, w
 def test_events_of_a_camera_are_there_before_their_commit_and_go_without_it(tmp_path: Path) -> None:
     one = record(tmp_path, live=True)
     write(one, 0, 9)
-    assert one.keep(snapshot(one, 9))
+    assert one.keep(bare_snapshot(one, 9))
     write(one, 9, 20)
     before = lines(tmp_path)
     assert {event["frame"] for event in before} >= {0, 6, 16}
@@ -193,7 +183,7 @@ RIGHT = ((24, 0), (34, 0), (34, 36), (24, 36))
 def test_a_record_that_is_opened_with_other_zones_follows_them_and_says_so(tmp_path: Path, name: str) -> None:
     one = record(tmp_path, live=True)
     write(one, 0, 14)  # object 3 has been in the zone since frame 6
-    assert one.keep(snapshot(one, 14))
+    assert one.keep(bare_snapshot(one, 14))
     before = lines(tmp_path)
     other = replace(RULES, zones=(Zone(name=name, polygon=RIGHT),))
     again = record(tmp_path, live=True, rules=other)
@@ -207,7 +197,7 @@ def test_a_record_that_is_opened_with_other_zones_follows_them_and_says_so(tmp_p
     again = record(tmp_path, live=True, rules=other)
     write(again, 14, 26)
     assert [event["id"] for event in lines(tmp_path)] == ids
-    assert again.keep(snapshot(again, 26))
+    assert again.keep(bare_snapshot(again, 26))
     record(tmp_path, live=True, rules=other)
     assert [event["id"] for event in lines(tmp_path)] == ids
 
@@ -225,7 +215,7 @@ def test_a_record_follows_other_zones_in_the_middle_and_goes_on_by_them_after_a_
         ("entered", 20, "right", None),
     ]
     assert next(event for event in said if event["zone"] == "right")["picture"]
-    assert one.keep(snapshot(one, 20))
+    assert one.keep(bare_snapshot(one, 20))
     record(tmp_path, live=True, rules=replace(RULES, zones=(Zone(name="right", polygon=RIGHT),)))
     kept = lines(tmp_path)
     assert kept == said[: len(kept)]
@@ -237,12 +227,12 @@ def test_a_lost_camera_is_said_while_it_is_away_and_once(tmp_path: Path, kept_be
     one = record(tmp_path, live=True)
     write(one, 0, 9)
     if kept_before:
-        assert one.keep(snapshot(one, 9))
+        assert one.keep(bare_snapshot(one, 9))
     one.silent()
     [lost] = [event for event in lines(tmp_path) if event["kind"] == "stream lost"]
     assert (lost["frame"], lost["time"]) == (9, 0.8)
     if not kept_before:
-        assert one.keep(snapshot(one, 9))
+        assert one.keep(bare_snapshot(one, 9))
     one.gap(9, 0.8, "gap")
     one.write(segmentation(10, 3), frame(10))
     whole = lines(tmp_path)
