@@ -1,0 +1,228 @@
+"""The driver of streams that come, go, and become others while the run is at work."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from dataclasses import replace
+
+import pytest
+from driver_fakes import Again, FakeHost, FakeStream, Recorder, spec
+
+from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, StreamSpec
+from mlbs_actors.source import FrameReader
+from orchestrator.interruption import Interruption
+from orchestrator.run import driver as driver_module
+from orchestrator.run.admission import by_count
+from orchestrator.run.driver import Driver, SpecChange
+from orchestrator.run.stream_state import (
+    ENDED,
+)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driver_module, "_WAKE_SECONDS", 0.01)
+
+
+def test_streams_that_come_are_run_and_those_that_leave_are_finished_until_a_signal() -> None:
+    streams = {"endless": FakeStream(10**9), "waits": FakeStream(4), "new": FakeStream(8)}
+    host, recorder, interruption = FakeHost(streams), Recorder(), Interruption()
+    left = [SpecChange((), ("waits",)), SpecChange((spec("new"),), ("endless",)), SpecChange((), ("new",))]
+
+    def changes() -> SpecChange | None:
+        """The first two while the endless one runs, the third when all is over, then a signal."""
+        is_over = all(state.state in ENDED for state in recorder.last)
+        if is_over and not left:
+            interruption.signal_number = signal.SIGTERM
+        due = streams["endless"].read >= 20 if len(left) > 1 else is_over
+        return left.pop(0) if left and due else None
+
+    driver = Driver(
+        [spec("endless"), spec("waits")],
+        host,
+        admission=by_count(1),
+        observers=[recorder],
+        interruption=interruption,
+        changes=changes,
+    )
+    assert driver.run() == 0
+    states = {state.name: state for state in driver.states}
+    assert list(states) == ["endless", "new"]
+    assert (states["endless"].state, states["endless"].committed) == ("done", streams["endless"].read)
+    assert streams["endless"].stops == [True]
+    assert host.started == ["endless", "new"]
+    assert (states["new"].state, states["new"].committed) == ("done", 8)
+
+
+def test_a_stream_that_comes_back_is_started_again_once_it_is_gone_and_one_at_its_end_is_not() -> None:
+    interruption, recorder, is_back = Interruption(), Recorder(), threading.Event()
+
+    class Slow(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            is_back.wait()
+            return super().stop(drain=drain, returns=returns)
+
+    first, second = Slow(10**9), FakeStream(10**9)
+    host = Again({"camera": [first, second], "film": [FakeStream(4)]})
+    left = [SpecChange((), ("film", "camera")), SpecChange((spec("camera"), spec("film")), ())]
+
+    def changes() -> SpecChange | None:
+        if second.read >= 20:
+            interruption.signal_number = signal.SIGTERM
+        if not left:  # the driver has dealt with the last change
+            is_back.set()
+        return left.pop(0) if left and first.read >= 20 else None
+
+    specs = [spec("camera"), spec("film")]
+    driver = Driver(
+        specs, host, admission=by_count(2), observers=[recorder], interruption=interruption, changes=changes
+    )
+    driver.run()
+    assert host.started == ["camera", "film", "camera"]
+    assert first.stops == second.stops == [True]
+    assert recorder.history["film"][-1] == "done"
+
+
+def test_a_stream_follows_other_settings_at_once_or_when_it_starts() -> None:
+    running, waiting, interruption = FakeStream(10**9), FakeStream(8), Interruption()
+    started: dict[str, StreamSpec] = {}
+
+    class Host(FakeHost):
+        def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+            started[spec.name] = spec
+            return super().start(spec, before)
+
+    other = [(replace(spec(name), source="other"), f"zones of {name}") for name in ("a", "b")]
+    left = [SpecChange(configured=tuple(other)), SpecChange(removed=("a",))]
+
+    def changes() -> SpecChange | None:
+        if not left and waiting.stops:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and running.read >= 8 else None
+
+    driver = Driver(
+        [spec("a"), spec("b")],
+        Host({"a": running, "b": waiting}),
+        admission=by_count(1),
+        observers=[],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert running.settings == ["zones of a"]
+    assert (started["b"].source, waiting.settings) == ("other", [])
+
+
+@pytest.mark.parametrize("same_source", [True, False])
+def test_a_stream_goes_on_with_other_processes_when_its_settings_ask_for_them(same_source: bool) -> None:
+    first, second, interruption, recorder = FakeStream(10**9), FakeStream(10**9), Interruption(), Recorder()
+    started: list[tuple[StreamSpec, RunningStream | None]] = []
+    kept: list[bool] = []
+
+    class Host(Again):
+        def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+            started.append((spec, before))
+            return super().start(spec, before)
+
+    class First(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            kept.append(returns)
+            return super().stop(drain=drain, returns=returns)
+
+    first = First(10**9)
+    other = replace(spec("camera"), source="other", live=True)
+    left = [SpecChange(restarted=((other, same_source),))]
+
+    def changes() -> SpecChange | None:
+        if second.read >= 20:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and first.read >= 20 else None
+
+    driver = Driver(
+        [replace(spec("camera"), live=True)],
+        Host({"camera": [first, second]}),
+        admission=by_count(1),
+        observers=[recorder],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert first.stops == second.stops == [True]  # what was read is labelled and kept
+    assert kept == [same_source]
+    assert [one.source for one, _ in started] == ["the source", "other"]
+    assert started[1][1] is (first if same_source else None)
+    assert "failed" not in recorder.history["camera"]
+
+
+def test_a_camera_that_was_given_up_is_tried_again_where_it_is_now() -> None:
+    gone, there, interruption = FakeStream(0), FakeStream(10**9), Interruption()
+    left = [SpecChange(restarted=((replace(spec("camera"), source="other", live=True), False),))]
+
+    def changes() -> SpecChange | None:
+        if there.read >= 20:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and gone.stops else None
+
+    host = Again({"camera": [gone, there]})
+    driver = Driver(
+        [replace(spec("camera"), live=True)],
+        host,
+        admission=by_count(1),
+        observers=[],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert host.started == ["camera", "camera"]
+
+
+def test_a_renamed_stream_begins_once_the_one_before_has_ended() -> None:
+    first, second, interruption = FakeStream(10**9), FakeStream(10**9), Interruption()
+    told: list[list[bool]] = []
+    renamed = {"road": ("lane", lambda: told.append(list(first.stops)))}
+    left = [SpecChange(added=(spec("road"),), removed=("lane",), renamed=renamed)]
+
+    def changes() -> SpecChange | None:
+        if second.read >= 20:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and first.read >= 20 else None
+
+    driver = Driver(
+        [spec("lane")],
+        FakeHost({"lane": first, "road": second}),
+        admission=by_count(2),
+        observers=[],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert told == [[True]]
+    assert [state.name for state in driver.states] == ["road"]
+
+
+def test_a_camera_that_is_elsewhere_now_is_read_there_by_the_processes_that_it_has() -> None:
+    camera, interruption = FakeStream(10**9), Interruption()
+
+    def elsewhere() -> FrameReader:
+        raise AssertionError("the driver must not open sources")
+
+    left = [SpecChange(reopened=(replace(spec("camera"), open_reader=elsewhere, live=True),))]
+
+    def changes() -> SpecChange | None:
+        if camera.readers and camera.read >= 40:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and camera.read >= 20 else None
+
+    host = FakeHost({"camera": camera})
+    driver = Driver(
+        [replace(spec("camera"), live=True)],
+        host,
+        admission=by_count(1),
+        observers=[],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert camera.readers == [elsewhere]
+    assert host.started == ["camera"]
