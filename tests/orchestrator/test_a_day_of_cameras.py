@@ -131,7 +131,7 @@ def test_everything_is_changed_while_the_cameras_run(tmp_path: Path) -> None:
         one.write()
         one.start()
         one.until("the first start: a zone is entered", lambda: zones_of(one, "gate") == {"mid"})
-        assert one.state("lane")["state"] == "reconnecting"
+        one.until("  and a wrong password is told", lambda: one.state("lane")["state"] == "reconnecting")
 
         one.streams["lane"]["source"] = cameras.address("lane")
         one.write()
