@@ -133,8 +133,9 @@ class Node:
             A granted one of this node, for the stream; it must last as long as its reader.
         """
         run = next(self._runs)
-        reader = before.living_reader if isinstance(before, StreamActors) else None
-        if reader is None:
+        before = before if isinstance(before, StreamActors) else None
+        reader = None if before is None else before.living_reader
+        if before is None or reader is None:
             reader = spawn(
                 LiveReaderActor if spec.live else ReaderActor,
                 spec.open_reader,
@@ -142,6 +143,9 @@ class Node:
                 reservation=reservation,
                 name=f"{spec.name}, start {run} on {self._node[:8]}",
             )
+        elif before.reopened_by is not None:
+            # The coordinator may have been lost before it could pass this on.
+            reader.reopen.remote(before.reopened_by)
         coordinator, segmenter = self._take_standby()
         sink = self._sinks[run % len(self._sinks)]
         return StreamActors(
@@ -251,6 +255,8 @@ class StreamActors:
     ----------
     living_reader : Handle, optional
         Left by :meth:`stop` for the next start; it ends when its last handle is dropped.
+    reopened_by : callable, optional
+        What a live source was opened by last, if not by ``spec``.
     """
 
     def __init__(
@@ -282,6 +288,7 @@ class StreamActors:
         self._bursts = 0
         self._kept_waiting = False
         self.living_reader: Handle | None = None
+        self.reopened_by: Callable[[], FrameReader] | None = None
         self._stopped = False
         self._final: StreamProgress | None = None
 
@@ -311,6 +318,7 @@ class StreamActors:
 
     def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
         """See :meth:`RunningStream.reopen`."""
+        self.reopened_by = open_reader
         self._coordinator.reopen.remote(open_reader)
 
     def configure(self, settings: object) -> None:

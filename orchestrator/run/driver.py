@@ -63,8 +63,8 @@ class SpecChange:
         New ones that may be added only when another one has ended, which is told by the call.
     reopened : tuple of StreamSpec
         Cameras that are read from another place.
-    restarted : tuple of (StreamSpec, bool)
-        Those to go on with other processes, as they are now, and whether their sources are the same.
+    restarted : tuple of StreamSpec
+        Those to go on with other processes, as they are now.
     configured : tuple of (StreamSpec, object)
         How others are to start from now on, and what their records are to follow at once.
     """
@@ -73,7 +73,7 @@ class SpecChange:
     removed: tuple[str, ...] = ()
     renamed: Mapping[str, tuple[str, Callable[[], None]]] = field(default_factory=dict)
     reopened: tuple[StreamSpec, ...] = ()
-    restarted: tuple[tuple[StreamSpec, bool], ...] = ()
+    restarted: tuple[StreamSpec, ...] = ()
     configured: tuple[tuple[StreamSpec, object], ...] = ()
 
 
@@ -132,7 +132,7 @@ class Driver:
         self._removed: set[str] = set()  # taken from the list, and not ended yet
         self._coming: dict[str, StreamSpec] = {}  # new in the list, and not added yet
         self._renamed: dict[str, tuple[str, Callable[[], None]]] = {}
-        self._restarting: dict[str, bool] = {}  # with other settings; whether the source is the same
+        self._restarting: dict[str, bool] = {}  # with other settings; whether by the same reader
         self._streams: dict[str, RunningStream] = {}
         self._bursts: dict[Future[StreamProgress], str] = {}
         self._asked: dict[str, float] = {}
@@ -167,7 +167,8 @@ class Driver:
             return
         for name in change.removed:
             if self._coming.pop(name, None) is not None:
-                self._renamed.pop(name, None)
+                for known in (self._renamed, self._returning, self._restarting):
+                    known.pop(name, None)
                 continue
             if self._states[name].state != "waiting":
                 if name in self._streams or name in self._returning:
@@ -183,9 +184,9 @@ class Driver:
                 self._specs[spec.name] = spec
                 self._streams[spec.name].reopen(spec.open_reader)
             else:
-                self._restart(spec, same_source=False)
-        for spec, same_source in change.restarted:
-            self._restart(spec, same_source=same_source)
+                self._restart(spec)
+        for spec in change.restarted:
+            self._restart(spec)
         for spec, settings in change.configured:
             known = self._coming if spec.name in self._coming else self._specs
             known[spec.name] = spec
@@ -193,19 +194,18 @@ class Driver:
                 self._streams[spec.name].configure(settings)
         self._show()
 
-    def _restart(self, spec: StreamSpec, *, same_source: bool) -> None:
+    def _restart(self, spec: StreamSpec) -> None:
         """Have a stream go on as it is to be now: after its burst, or when it starts."""
         name = spec.name
-        if name in self._coming:
-            self._coming[name] = spec
-        elif (state := self._states[name]).state in ENDED:
+        known = self._coming if name in self._coming else self._specs
+        same_reader = name in known and spec.open_reader == known[name].open_reader
+        known[name] = spec
+        if known is self._specs and (state := self._states[name]).state in ENDED:
             self._coming[name] = spec
             if state.live:  # which was given up
                 self._states[name] = replace(state, interrupted=True)
-        else:
-            self._specs[name] = spec
-            if name in self._streams or name in self._returning:
-                self._restarting[name] = same_source and self._restarting.get(name, True)
+        elif any(name in streams for streams in (self._streams, self._returning, self._renamed)):
+            self._restarting[name] = same_reader and self._restarting.get(name, True)
 
     def _add_coming(self) -> None:
         """Add the streams of new lines; one that comes back, once its processes are gone."""
@@ -242,10 +242,10 @@ class Driver:
         self._loads[name] = LoadMeter(self._clock)
         spec = replace(self._specs[name], last_try=self._returns[name].last_try)
         try:
-            # A reader that lived on reads the source of before.
-            before = self._returning.get(name) if self._restarting.pop(name, True) else None
+            before = self._returning.get(name) if self._restarting.get(name, True) else None
             self._streams[name] = self._host.start(spec, before)
             self._returning.pop(name, None)
+            self._restarting.pop(name, None)
             self._states[name] = replace(self._states[name], node=self._streams[name].node)
             self._advance(name)
         except NoPlaceError:
@@ -334,11 +334,15 @@ class Driver:
 
     def _end(self, name: str, *, drain: bool) -> Future[StreamProgress | None]:
         stream = self._streams.pop(name)
-        returning, keeps_reader = name in self._returning, self._restarting.get(name, True)
+        returning = name in self._returning
+        keeps_reader = returning and self._restarting.get(name, True)
+        heir = self._heir(name)
+        if heir is not None and self._coming[heir].open_reader == self._specs[name].open_reader:
+            self._returning[heir], keeps_reader = stream, True
 
         def stop() -> StreamProgress | None:
             try:
-                return stream.stop(drain=drain, returns=returning and keeps_reader)
+                return stream.stop(drain=drain, returns=keeps_reader)
             finally:
                 if returning:
                     self._host.repair()
@@ -346,6 +350,11 @@ class Driver:
         ending = _in_thread(stop)
         self._endings[ending] = name
         return ending
+
+    def _heir(self, name: str) -> str | None:
+        """Return the name under which a stream that was taken from the list goes on."""
+        heirs = (new for new, (was, _) in self._renamed.items() if was == name)
+        return next(heirs, None) if name in self._removed else None
 
     def _drain(self) -> None:
         """Let the bursts under way end, then label and commit what was read."""
@@ -360,7 +369,7 @@ class Driver:
                     name = endings[ending]
                     progress = None if ending.exception() else ending.result()
                     self._set(after_interruption(self._states[name], progress))
-        for name in sorted(self._returning):
+        for name in sorted(self._returning.keys() & self._states.keys()):
             self._set(after_interruption(self._states[name], None))
 
     def _set(self, state: StreamState) -> None:

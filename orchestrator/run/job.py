@@ -12,7 +12,6 @@ from typing import Any
 from mlbs_actors.actors.stream.protocol import StreamSink, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
-from mlbs_actors.source import FrameReader
 from orchestrator.clips.packet_ring import PACKETS, PacketRing
 from orchestrator.command_line import command_again
 from orchestrator.credentials import mask
@@ -27,6 +26,7 @@ from orchestrator.run.edited_files import keep_version
 from orchestrator.run.file_watch import FileWatch
 from orchestrator.run.list_watch import ListChange, ListWatch
 from orchestrator.run.listed_stream import ListedStream, OwnSettings, StreamsFile
+from orchestrator.run.reader_opening import ReaderOpening
 from orchestrator.run.resumption import with_new_names
 from orchestrator.run.retention_limits import Keep
 from orchestrator.run.run_folder import RunFolder, describe_run
@@ -35,13 +35,9 @@ from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.private_record import PrivateRecord
 from orchestrator.sinks.record import StreamRecord, ends_group
 from orchestrator.sources.address import SourceAddress, parse_address
-from orchestrator.sources.opening import open_reader
-from orchestrator.working_size import FullSizeRecord, ShrinkingReader
+from orchestrator.working_size import FullSizeRecord
 
 __all__ = ["Job"]
-
-#: Options on which the reader of a stream depends.
-_OF_READER = {"max_side", "give_up_after"}
 
 #: A stream of which no file says anything.
 _NOBODY = ListedStream("", parse_address("synthetic:demo", Path("/")), None)
@@ -170,7 +166,7 @@ class Job:
     ) -> SpecChange:
         """Return what is to become of streams that are other than they were, by these names."""
         reopened: list[StreamSpec] = []
-        restarted: list[tuple[StreamSpec, bool]] = []
+        restarted: list[StreamSpec] = []
         configured: list[tuple[StreamSpec, object]] = []
         for name in names:
             now, same_source = self._settings[name], streams[name].source == self._streams[name].source
@@ -178,7 +174,7 @@ class Job:
             spec = self._spec(self._streams[name])
             is_other_file = not same_source and not (spec.live and streams[name].source.live)
             if is_other_file or {Effect.RESTART, Effect.EPOCH}.intersection(effects.values()):
-                restarted.append((spec, same_source and not effects.keys() & _OF_READER))
+                restarted.append(spec)
                 continue
             if not same_source:
                 reopened.append(spec)
@@ -295,10 +291,7 @@ class Job:
         clips, packets = self._arguments.clips, None
         if clips is not None and stream.source.live:
             packets = PacketRing(self._folder.stream(stream.name) / PACKETS, clips.ring_seconds)
-        reader: Callable[[], FrameReader] = partial(open_reader, stream.source, asked.give_up_after, packets)
-        record = StreamRecord
-        if asked.max_side is not None:
-            reader, record = partial(ShrinkingReader, reader, asked.max_side), FullSizeRecord
+        record = StreamRecord if asked.max_side is None else FullSizeRecord
         picture = None
         if self._live is not None:
             picture = LivePicture(
@@ -319,7 +312,7 @@ class Job:
         return StreamSpec(
             name=stream.name,
             config=asked.config,
-            open_reader=reader,
+            open_reader=ReaderOpening(stream.source, asked.give_up_after, asked.max_side, packets),
             open_sink=partial(PrivateRecord, open_sink) if asked.drawing.private else open_sink,
             max_frames=asked.max_frames,
             wants_background=ends_group if "background" in asked.save else None,

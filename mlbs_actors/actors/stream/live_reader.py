@@ -133,7 +133,12 @@ class LiveReaderActor:
         self._ring.forget(rows)
 
     def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
-        """Read from another place; what is between its pictures and those so far is a row ``gap``."""
+        """Read from another place; what is between its pictures and those so far is a row ``gap``.
+
+        Does nothing if that is where it reads already.
+        """
+        if open_reader == self._open_reader:
+            return
         self.close()
         self._open_reader, self._reader, self._lag = open_reader, None, None
         if self._ring.next:

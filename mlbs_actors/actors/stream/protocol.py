@@ -288,7 +288,7 @@ class StreamHost(Protocol):
         ----------
         spec : StreamSpec
         before : RunningStream, optional
-            An earlier start of this stream, stopped because it ``returns``.
+            An earlier start of this stream, or of one that had another name, stopped because it ``returns``.
 
         Raises
         ------

@@ -136,6 +136,21 @@ def test_a_camera_that_is_elsewhere_now_goes_on_after_a_gap_with_consecutive_row
     assert there.said == []
 
 
+def test_a_camera_that_is_read_there_already_goes_on_without_a_gap() -> None:
+    source = Answers(*(row(index, IMAGE) for index in range(4)))
+
+    def opened() -> Answers:
+        return source
+
+    reader = LiveReaderActor(opened)
+    reader.go_on(SourcePosition())
+    given = [asked(reader, fresh=True) for _ in range(2)]
+    reader.reopen(opened)
+    given += [asked(reader, fresh=True) for _ in range(2)]
+    assert not source.closed
+    assert [frame.status for frame in given if isinstance(frame, SourceFrame)] == ["ok"] * 4
+
+
 def test_a_new_reader_goes_on_with_a_gap_and_consecutive_rows_and_times() -> None:
     reader = reader_of(Answers(row(0, IMAGE), row(1), row(2, IMAGE)))
     reader.go_on(SourcePosition(40, 8.0, time.time() - 3.0))
@@ -376,6 +391,29 @@ def test_a_live_stream_that_loses_a_process_loses_no_frame(
     expect_whole(state, parts, tmp_path, shown=44, gaps=0)
     told, commits = statuses(tmp_path), read_commits(tmp_path / "door")
     assert {told[: one.last + 1].count("ok") % 8 for one in commits[:-1]} == {0}  # snapshots, not rows
+
+
+@pytest.mark.usefixtures("host")
+def test_a_camera_is_read_elsewhere_though_the_coordinator_is_lost_that_is_told_so(
+    parts: FakeParts, tmp_path: Path
+) -> None:
+    here = OnceOnly(tmp_path / "camera", shots(12))
+    there = OnceOnly(tmp_path / "other", shots(20))
+    spec = live_spec(here, tmp_path)
+    there.folder.mkdir()
+    with started(parts) as node:
+        stream = node.start(spec)
+        while stream.advance().result().read < 8:
+            pass
+        end([stream._coordinator])
+        stream.reopen(there.opened)
+        stream.stop(drain=False, returns=True)
+        again = node.start(replace(spec, open_reader=there.opened), stream)
+        while not (progress := again.advance().result()).done:
+            pass
+        again.stop(drain=False)
+    assert progress.gaps == 1
+    assert 20 < progress.read <= 12 + 20
 
 
 @pytest.mark.usefixtures("host")

@@ -20,6 +20,10 @@ from orchestrator.run.stream_state import (
 )
 
 
+def elsewhere() -> FrameReader:
+    raise AssertionError("the driver must not open sources")
+
+
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driver_module, "_WAKE_SECONDS", 0.01)
@@ -114,8 +118,8 @@ def test_a_stream_follows_other_settings_at_once_or_when_it_starts() -> None:
     assert (started["b"].source, waiting.settings) == ("other", [])
 
 
-@pytest.mark.parametrize("same_source", [True, False])
-def test_a_stream_goes_on_with_other_processes_when_its_settings_ask_for_them(same_source: bool) -> None:
+@pytest.mark.parametrize("same_reader", [True, False])
+def test_a_stream_goes_on_with_other_processes_when_its_settings_ask_for_them(same_reader: bool) -> None:
     first, second, interruption, recorder = FakeStream(10**9), FakeStream(10**9), Interruption(), Recorder()
     started: list[tuple[StreamSpec, RunningStream | None]] = []
     kept: list[bool] = []
@@ -131,8 +135,11 @@ def test_a_stream_goes_on_with_other_processes_when_its_settings_ask_for_them(sa
             return super().stop(drain=drain, returns=returns)
 
     first = First(10**9)
-    other = replace(spec("camera"), source="other", live=True)
-    left = [SpecChange(restarted=((other, same_source),))]
+    camera = replace(spec("camera"), live=True)
+    other = replace(camera, source="other")
+    if not same_reader:
+        other = replace(other, open_reader=elsewhere)
+    left = [SpecChange(restarted=(other,))]
 
     def changes() -> SpecChange | None:
         if second.read >= 20:
@@ -140,7 +147,7 @@ def test_a_stream_goes_on_with_other_processes_when_its_settings_ask_for_them(sa
         return left.pop(0) if left and first.read >= 20 else None
 
     driver = Driver(
-        [replace(spec("camera"), live=True)],
+        [camera],
         Host({"camera": [first, second]}),
         admission=by_count(1),
         observers=[recorder],
@@ -149,15 +156,15 @@ def test_a_stream_goes_on_with_other_processes_when_its_settings_ask_for_them(sa
     )
     driver.run()
     assert first.stops == second.stops == [True]  # what was read is labelled and kept
-    assert kept == [same_source]
+    assert kept == [same_reader]
     assert [one.source for one, _ in started] == ["the source", "other"]
-    assert started[1][1] is (first if same_source else None)
+    assert started[1][1] is (first if same_reader else None)
     assert "failed" not in recorder.history["camera"]
 
 
 def test_a_camera_that_was_given_up_is_tried_again_where_it_is_now() -> None:
     gone, there, interruption = FakeStream(0), FakeStream(10**9), Interruption()
-    left = [SpecChange(restarted=((replace(spec("camera"), source="other", live=True), False),))]
+    left = [SpecChange(restarted=(replace(spec("camera"), source="other", live=True),))]
 
     def changes() -> SpecChange | None:
         if there.read >= 20:
@@ -177,11 +184,20 @@ def test_a_camera_that_was_given_up_is_tried_again_where_it_is_now() -> None:
     assert host.started == ["camera", "camera"]
 
 
-def test_a_renamed_stream_begins_once_the_one_before_has_ended() -> None:
+@pytest.mark.parametrize("same_reader", [True, False])
+def test_a_renamed_stream_begins_once_the_one_before_has_ended(same_reader: bool) -> None:
     first, second, interruption = FakeStream(10**9), FakeStream(10**9), Interruption()
+    befores: dict[str, RunningStream | None] = {}
+
+    class Host(FakeHost):
+        def start(self, spec: StreamSpec, before: RunningStream | None = None) -> RunningStream:
+            befores[spec.name] = before
+            return super().start(spec, before)
+
     told: list[list[bool]] = []
     renamed = {"road": ("lane", lambda: told.append(list(first.stops)))}
-    left = [SpecChange(added=(spec("road"),), removed=("lane",), renamed=renamed)]
+    road = spec("road") if same_reader else replace(spec("road"), open_reader=elsewhere)
+    left = [SpecChange(added=(road,), removed=("lane",), renamed=renamed)]
 
     def changes() -> SpecChange | None:
         if second.read >= 20:
@@ -190,7 +206,7 @@ def test_a_renamed_stream_begins_once_the_one_before_has_ended() -> None:
 
     driver = Driver(
         [spec("lane")],
-        FakeHost({"lane": first, "road": second}),
+        Host({"lane": first, "road": second}),
         admission=by_count(2),
         observers=[],
         interruption=interruption,
@@ -199,14 +215,45 @@ def test_a_renamed_stream_begins_once_the_one_before_has_ended() -> None:
     driver.run()
     assert told == [[True]]
     assert [state.name for state in driver.states] == ["road"]
+    assert first.returns == same_reader
+    assert befores == {"lane": None, "road": first if same_reader else None}
+
+
+def test_a_new_name_that_is_taken_back_before_it_is_used_leaves_nothing() -> None:
+    first, interruption, is_told = FakeStream(10**9), Interruption(), threading.Event()
+
+    class Slow(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            is_told.wait()
+            return super().stop(drain=drain, returns=returns)
+
+    first = Slow(10**9)
+    renamed = {"road": ("lane", lambda: None)}
+    left = [SpecChange(added=(spec("road"),), removed=("lane",), renamed=renamed), SpecChange(removed=("road",))]
+
+    def changes() -> SpecChange | None:
+        if not left:
+            is_told.set()
+            if first.stops:
+                interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left and first.read >= 20 else None
+
+    host = FakeHost({"lane": first})
+    driver = Driver(
+        [spec("lane")],
+        host,
+        admission=by_count(2),
+        observers=[],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert host.started == ["lane"]
+    assert [(state.name, state.state) for state in driver.states] == [("lane", "done")]
 
 
 def test_a_camera_that_is_elsewhere_now_is_read_there_by_the_processes_that_it_has() -> None:
     camera, interruption = FakeStream(10**9), Interruption()
-
-    def elsewhere() -> FrameReader:
-        raise AssertionError("the driver must not open sources")
-
     left = [SpecChange(reopened=(replace(spec("camera"), open_reader=elsewhere, live=True),))]
 
     def changes() -> SpecChange | None:
