@@ -188,8 +188,8 @@ class Driver:
         for spec in change.restarted:
             self._restart(spec)
         for spec, settings in change.configured:
-            known = self._coming if spec.name in self._coming else self._specs
-            known[spec.name] = spec
+            held = self._coming if spec.name in self._coming else self._specs
+            held[spec.name] = spec
             if spec.name in self._streams:
                 self._streams[spec.name].configure(settings)
         self._show()

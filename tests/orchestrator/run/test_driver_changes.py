@@ -229,7 +229,10 @@ def test_a_new_name_that_is_taken_back_before_it_is_used_leaves_nothing() -> Non
 
     first = Slow(10**9)
     renamed = {"road": ("lane", lambda: None)}
-    left = [SpecChange(added=(spec("road"),), removed=("lane",), renamed=renamed), SpecChange(removed=("road",))]
+    left = [
+        SpecChange(added=(spec("road"),), removed=("lane",), renamed=renamed),
+        SpecChange(removed=("road",)),
+    ]
 
     def changes() -> SpecChange | None:
         if not left:
