@@ -3,7 +3,7 @@
 The rules are pure functions (:mod:`orchestrator.run.stream_state`, :mod:`orchestrator.run.admission`); here
 is the loop that waits for the next event. Frames do not pass through it. One stream's failure ends that
 stream alone. A stream that lost a process, or hangs, is stopped and started again; it finds its last snapshot
-by itself.
+by itself. So is that of a camera whose disk is full, again and again, until there is room.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any, Protocol
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
 from mlbs_actors.errors import ActorLostError, MlbsError, NoPlaceError
 from orchestrator.interruption import Interruption
+from orchestrator.retries import retry_seconds
 from orchestrator.run.admission import Admission
 from orchestrator.run.load import LoadMeter
 from orchestrator.run.recovery import STALL_SECONDS, START_SECONDS, Returns
@@ -30,11 +31,13 @@ from orchestrator.run.stream_state import (
     after_interruption,
     after_loss,
     after_progress,
+    after_refusal,
     after_removal,
     after_start,
     exit_code,
     has_ended,
 )
+from orchestrator.storage.durable_files import UnwritableError
 
 __all__ = ["Driver", "Observer", "SpecChange"]
 
@@ -139,6 +142,8 @@ class Driver:
         self._returns = {spec.name: Returns() for spec in specs}
         # Streams to be restarted.
         self._returning: dict[str, RunningStream] = {}
+        self._refusals: dict[str, int] = {}  # successive ones of a disk
+        self._is_ending = threading.Event()
         # A stream that ended keeps its place until its processes are gone.
         self._endings: dict[Future[StreamProgress | None], str] = {}
 
@@ -288,6 +293,8 @@ class Driver:
             self._set(after_end(self._states[name], progress))
             self._end(name, drain=False)
             return
+        if progress.committed > self._states[name].committed:
+            self._refusals.pop(name, None)
         load = self._loads[name].after(progress)
         self._set(after_progress(self._states[name], progress, load.frames_per_second, load.cores))
         if name in self._removed:
@@ -324,6 +331,12 @@ class Driver:
                 self._set(after_loss(state, _sentence(error)))
                 self._end(name, drain=False)
                 return
+        elif self._may_wait_for_disk(name, error):
+            self._refusals[name] = self._refusals.get(name, 0) + 1
+            self._returning[name] = self._streams[name]
+            self._set(after_refusal(state, _sentence(error)))
+            self._end(name, drain=False, pause=retry_seconds(self._refusals[name]))
+            return
         self._removed.discard(name)
         self._set(after_failure(state, _sentence(error)))
         if name in self._streams:
@@ -332,7 +345,12 @@ class Driver:
     def _may_return(self, name: str, error: Exception) -> bool:
         return isinstance(error, ActorLostError) and name in self._streams and name not in self._removed
 
-    def _end(self, name: str, *, drain: bool) -> Future[StreamProgress | None]:
+    def _may_wait_for_disk(self, name: str, error: Exception) -> bool:
+        is_refused = isinstance(error, UnwritableError) and self._states[name].live
+        return is_refused and name in self._streams and name not in self._removed
+
+    def _end(self, name: str, *, drain: bool, pause: float = 0.0) -> Future[StreamProgress | None]:
+        """Stop a stream; its end is told after a pause, s, if the run does not end in the meantime."""
         stream = self._streams.pop(name)
         returning = name in self._returning
         keeps_reader = returning and self._restarting.get(name, True)
@@ -346,6 +364,7 @@ class Driver:
             finally:
                 if returning:
                     self._host.repair()
+                self._is_ending.wait(pause)
 
         ending = _in_thread(stop)
         self._endings[ending] = name
@@ -358,6 +377,7 @@ class Driver:
 
     def _drain(self) -> None:
         """Let the bursts under way end, then label and commit what was read."""
+        self._is_ending.set()
         while self._bursts:
             self._await_next()
         endings = {self._end(name, drain=True): name for name in list(self._streams)}

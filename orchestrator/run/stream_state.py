@@ -21,6 +21,7 @@ __all__ = [
     "after_interruption",
     "after_loss",
     "after_progress",
+    "after_refusal",
     "after_removal",
     "after_start",
     "exit_code",
@@ -207,6 +208,12 @@ def after_loss(state: StreamState, error: str) -> StreamState:
         cores=state.cores,
         waits_for="new processes and its last snapshot",
     )
+
+
+def after_refusal(state: StreamState, error: str) -> StreamState:
+    """Return the state of a camera's stream that will continue when its disk can be written to again."""
+    failed = after_failure(state, error)
+    return replace(failed, state="starting", cores=state.cores, waits_for="a disk that can be written to")
 
 
 def after_change(state: StreamState) -> StreamState:

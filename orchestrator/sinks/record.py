@@ -38,7 +38,12 @@ from orchestrator.sinks.overlay import OverlayVideo, overlay_path
 from orchestrator.sinks.still import Still
 from orchestrator.sources.address import SourceAddress
 from orchestrator.storage.commit_log import CommitLog, first_frame, permanent, read_commits
-from orchestrator.storage.durable_files import publish, remove_temporary, temporary_path
+from orchestrator.storage.durable_files import (
+    UnwritableError,
+    publish,
+    remove_temporary,
+    temporary_path,
+)
 from orchestrator.storage.picture_folders import PictureFolders
 from orchestrator.storage.record_tables import newest_part, part_path
 from orchestrator.storage.segments import Segments
@@ -373,11 +378,11 @@ class StreamRecord:
         write_frames(temporary_path(frames), self._name, rows, self._stages)
         return [layers, frames]
 
-    def _unwritable(self, error: OSError) -> SinkError:
+    def _unwritable(self, error: OSError) -> UnwritableError:
         reason = error.strerror or type(error).__name__
-        return SinkError(
+        return UnwritableError(
             f"The record of {self._name!r} cannot be written to {self._folder}: {reason}. "
-            "Check the folder and the free space, then run again into a new folder."
+            "Check the folder and the free space."
         )
 
 

@@ -11,10 +11,16 @@ import secrets
 from collections.abc import Iterable
 from pathlib import Path
 
-__all__ = ["append_line", "publish", "remove_temporary", "replace_file", "temporary_path"]
+from mlbs_actors.errors import SinkError
+
+__all__ = ["UnwritableError", "append_line", "publish", "remove_temporary", "replace_file", "temporary_path"]
 
 #: Part of this process's temporary names, as a process of a killed run may live on for a while.
 _OWN = secrets.token_hex(4)
+
+
+class UnwritableError(SinkError):
+    """The disk does not take what is to be written now; it may do so later."""
 
 
 def temporary_path(path: Path) -> Path:

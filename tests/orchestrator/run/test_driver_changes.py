@@ -15,9 +15,8 @@ from orchestrator.interruption import Interruption
 from orchestrator.run import driver as driver_module
 from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver, SpecChange
-from orchestrator.run.stream_state import (
-    ENDED,
-)
+from orchestrator.run.stream_state import ENDED
+from orchestrator.storage.durable_files import UnwritableError
 
 
 def elsewhere() -> FrameReader:
@@ -276,3 +275,54 @@ def test_a_camera_that_is_elsewhere_now_is_read_there_by_the_processes_that_it_h
     driver.run()
     assert camera.readers == [elsewhere]
     assert host.started == ["camera"]
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_a_camera_whose_disk_is_full_goes_on_when_there_is_room_but_a_file_fails(
+    live: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = UnwritableError("No space left on device.")
+    refused = [FakeStream(10**9, fails_at=at, error=full) for at in (8, 0, 0)]
+    last, interruption, recorder = FakeStream(10**9), Interruption(), Recorder()
+    pauses: list[int] = []
+    monkeypatch.setattr(driver_module, "retry_seconds", lambda failures: pauses.append(failures) or 0.0)
+
+    def changes() -> SpecChange | None:
+        if last.read >= 20 or "failed" in recorder.history["camera"]:
+            interruption.signal_number = signal.SIGTERM
+        return None
+
+    driver = Driver(
+        [replace(spec("camera"), live=live)],
+        Again({"camera": [*refused, last]}),
+        admission=by_count(1),
+        observers=[recorder],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert ("failed" in recorder.history["camera"]) == (not live)
+    assert pauses == ([1, 2, 3] if live else [])
+    assert (last.read >= 20) == live
+
+
+def test_a_run_ends_at_once_though_a_camera_waits_for_its_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    interruption, recorder = Interruption(), Recorder()
+    full = FakeStream(10**9, fails_at=8, error=UnwritableError("No space left on device."))
+    monkeypatch.setattr(driver_module, "retry_seconds", lambda failures: 3600.0)
+
+    def changes() -> SpecChange | None:
+        if full.stops:
+            interruption.signal_number = signal.SIGTERM
+        return None
+
+    driver = Driver(
+        [replace(spec("camera"), live=True)],
+        FakeHost({"camera": full}),
+        admission=by_count(1),
+        observers=[recorder],
+        interruption=interruption,
+        changes=changes,
+    )
+    driver.run()
+    assert recorder.last[0].interrupted
