@@ -15,13 +15,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from mlbs_actors.actors.stream.protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
+from mlbs_actors.actors.stream.protocol import StreamHost, StreamProgress, StreamSpec
 from mlbs_actors.errors import ActorLostError, MlbsError, NoPlaceError
 from orchestrator.interruption import Interruption
 from orchestrator.retries import retry_seconds
-from orchestrator.run.admission import Admission
-from orchestrator.run.load import LoadMeter
-from orchestrator.run.recovery import STALL_SECONDS, START_SECONDS, Returns
+from orchestrator.run.admission import Admission, Verdict
+from orchestrator.run.driven_stream import DrivenStream
 from orchestrator.run.stream_state import (
     ENDED,
     StreamState,
@@ -30,7 +29,6 @@ from orchestrator.run.stream_state import (
     after_failure,
     after_interruption,
     after_loss,
-    after_progress,
     after_refusal,
     after_removal,
     after_start,
@@ -120,37 +118,30 @@ class Driver:
         changes: Callable[[], SpecChange | None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._specs = {spec.name: spec for spec in specs}
         lengths, loads = lengths or {}, loads or {}
-        self._states = {
-            spec.name: _new_state(spec, lengths.get(spec.name), loads.get(spec.name, 0.0)) for spec in specs
-        } | dict(ended or {})
+        self._streams = {
+            spec.name: DrivenStream(spec, host, clock, lengths.get(spec.name), loads.get(spec.name, 0.0))
+            for spec in specs
+        }
+        for name, state in (ended or {}).items():
+            self._streams[name].state = state
         self._host = host
         self._admission = admission
         self._observers = observers
         self._interruption = interruption
         self._changes = changes
         self._clock = clock
-        self._loads: dict[str, LoadMeter] = {}
-        self._removed: set[str] = set()  # taken from the list, and not ended yet
-        self._coming: dict[str, StreamSpec] = {}  # new in the list, and not added yet
+        self._coming: dict[str, DrivenStream] = {}  # new in the list, and not added yet
         self._renamed: dict[str, tuple[str, Callable[[], None]]] = {}
-        self._restarting: dict[str, bool] = {}  # with other settings; whether by the same reader
-        self._streams: dict[str, RunningStream] = {}
-        self._bursts: dict[Future[StreamProgress], str] = {}
-        self._asked: dict[str, float] = {}
-        self._returns = {spec.name: Returns() for spec in specs}
-        # Streams to be restarted.
-        self._returning: dict[str, RunningStream] = {}
-        self._refusals: dict[str, int] = {}  # successive ones of a disk
-        self._is_ending = threading.Event()
+        self._bursts: dict[Future[StreamProgress], DrivenStream] = {}
         # A stream that ended keeps its place until its processes are gone.
-        self._endings: dict[Future[StreamProgress | None], str] = {}
+        self._endings: dict[Future[StreamProgress | None], DrivenStream] = {}
+        self._is_ending = threading.Event()
 
     @property
     def states(self) -> tuple[StreamState, ...]:
         """The current states, in the order of the list."""
-        return tuple(self._states.values())
+        return tuple(one.state for one in self._streams.values())
 
     def run(self) -> int:
         """Run all streams to their ends, or until a signal; return the run's exit status."""
@@ -171,93 +162,88 @@ class Driver:
         if change is None:
             return
         for name in change.removed:
-            if self._coming.pop(name, None) is not None:
-                for known in (self._renamed, self._returning, self._restarting):
-                    known.pop(name, None)
-                continue
-            if self._states[name].state != "waiting":
-                if name in self._streams or name in self._returning:
-                    self._removed.add(name)  # it is ended after its burst
-            elif self._returning.pop(name, None) is None:
-                del self._states[name]
-            else:
-                self._states[name] = after_removal(self._states[name], None)
-        self._coming |= {spec.name: spec for spec in change.added}
+            self._remove(name)
+        self._coming |= {spec.name: self._new(spec) for spec in change.added}
         self._renamed |= change.renamed
         for spec in change.reopened:
-            if spec.name in self._streams and spec.name not in self._restarting:
-                self._specs[spec.name] = spec
-                self._streams[spec.name].reopen(spec.open_reader)
-            else:
-                self._restart(spec)
+            self._current(spec).reopen(spec)
         for spec in change.restarted:
-            self._restart(spec)
+            self._current(spec).become(spec)
         for spec, settings in change.configured:
-            held = self._coming if spec.name in self._coming else self._specs
-            held[spec.name] = spec
-            if spec.name in self._streams:
-                self._streams[spec.name].configure(settings)
+            self._current(spec, again=False).configure(spec, settings)
         self._show()
 
-    def _restart(self, spec: StreamSpec) -> None:
-        """Have a stream go on as it is to be now: after its burst, or when it starts."""
-        name = spec.name
-        known = self._coming if name in self._coming else self._specs
-        same_reader = name in known and spec.open_reader == known[name].open_reader
-        known[name] = spec
-        if known is self._specs and (state := self._states[name]).state in ENDED:
-            self._coming[name] = spec
-            if state.live:  # which was given up
-                self._states[name] = replace(state, interrupted=True)
-        elif any(name in streams for streams in (self._streams, self._returning, self._renamed)):
-            self._restarting[name] = same_reader and self._restarting.get(name, True)
+    def _new(self, spec: StreamSpec) -> DrivenStream:
+        return DrivenStream(spec, self._host, self._clock)
+
+    def _remove(self, name: str) -> None:
+        """End a stream that was taken from the list: after its burst, if it has one."""
+        if self._coming.pop(name, None) is not None:
+            self._renamed.pop(name, None)
+            return
+        one = self._streams[name]
+        if one.state.state != "waiting":
+            one.is_leaving = one.is_at_work or one.returns
+        elif one.returns:
+            one.give_up_return()
+            one.state = after_removal(one.state, None)
+        else:
+            del self._streams[name]
+
+    def _current(self, spec: StreamSpec, *, again: bool = True) -> DrivenStream:
+        """Return the stream of a name; instead of one that has ended, one that begins ``again``."""
+        if spec.name in self._coming:
+            return self._coming[spec.name]
+        one = self._streams[spec.name]
+        if again and one.state.state in ENDED:
+            if one.state.live:  # which was given up
+                one.state = replace(one.state, interrupted=True)
+            one = self._coming[spec.name] = self._new(spec)
+        return one
 
     def _add_coming(self) -> None:
         """Add the streams of new lines; one that comes back, once its processes are gone."""
-        ending = {*self._removed, *self._endings.values()}
-        working = {*ending, *self._streams, *self._returning}
+        ending = {one.name for one in self._endings.values()}
+        ending |= {name for name, one in self._streams.items() if one.is_leaving}
+        working = ending | {name for name, one in self._streams.items() if one.is_at_work or one.returns}
         for name in list(self._coming):
             if name in ending or (name in self._renamed and self._renamed[name][0] in working):
                 continue
-            spec = self._coming.pop(name)
+            new = self._coming.pop(name)
             if name in self._renamed:
                 before, ended = self._renamed.pop(name)
-                self._states.pop(before, None)
+                self._streams.pop(before, None)
                 ended()
-            if name in self._states and has_ended(self._states[name]):
+            if name in self._streams and has_ended(self._streams[name].state):
                 continue
-            self._specs[name] = spec
-            self._returns[name] = Returns()
-            self._states[name] = _new_state(spec)
+            self._streams[name] = new
             self._show()
 
     def _admit(self) -> None:
         # One at a time: if a stream fails at once, its place is free for the next.
-        while name := (verdict := self._admission(self.states, self._endings.values())).start:
-            self._set(after_start(self._states[name]))
-            self._start(name)
-        for state in self.states:
-            if state.state == "waiting" and state.waits_for != (reason := verdict.waits_for(state)):
-                self._states[state.name] = replace(state, waits_for=reason)
+        while name := (verdict := self._verdict()).start:
+            self._set(self._streams[name], after_start(self._streams[name].state))
+            self._start(self._streams[name])
+        for one in self._streams.values():
+            reason = verdict.waits_for(one.state)
+            if one.state.state == "waiting" and one.state.waits_for != reason:
+                one.state = replace(one.state, waits_for=reason)
+
+    def _verdict(self) -> Verdict:
+        return self._admission(self.states, [one.name for one in self._endings.values()])
 
     def _waiting(self) -> int:
         return sum(state.state == "waiting" for state in self.states)
 
-    def _start(self, name: str) -> None:
-        self._loads[name] = LoadMeter(self._clock)
-        spec = replace(self._specs[name], last_try=self._returns[name].last_try)
+    def _start(self, one: DrivenStream) -> None:
         try:
-            before = self._returning.get(name) if self._restarting.get(name, True) else None
-            self._streams[name] = self._host.start(spec, before)
-            self._returning.pop(name, None)
-            self._restarting.pop(name, None)
-            self._states[name] = replace(self._states[name], node=self._streams[name].node)
-            self._advance(name)
+            one.start()
+            self._advance(one)
         except NoPlaceError:
-            self._set(replace(self._states[name], state="waiting"))
+            self._set(one, replace(one.state, state="waiting"))
         except Exception as error:
-            self._returning.pop(name, None)
-            self._fail(name, error)
+            one.give_up_return()
+            self._fail(one, error)
 
     def _await_next(self) -> None:
         pending: list[Future[Any]] = [*self._bursts, *self._endings]
@@ -274,137 +260,102 @@ class Driver:
 
     def _give_up_hanging(self) -> None:
         """Give up bursts that take too long; those of a silent live source end by themselves."""
-        now = self._clock()
-        for burst, name in list(self._bursts.items()):
-            most = START_SECONDS if self._states[name].state == "starting" else STALL_SECONDS
-            if now - self._asked[name] > most:
+        for burst, one in list(self._bursts.items()):
+            if (seconds := one.hangs_for) is not None:
                 del self._bursts[burst]
-                self._fail(name, ActorLostError(f"The stream has not got on for {most:.0f} seconds."))
+                self._fail(one, ActorLostError(f"The stream has not got on for {seconds:.0f} seconds."))
 
     def _take_burst(self, burst: Future[StreamProgress]) -> None:
-        name = self._bursts.pop(burst)
+        one = self._bursts.pop(burst)
         try:
             progress = burst.result()
         except Exception as error:
-            self._fail(name, error)
+            self._fail(one, error)
             return
         if progress.done:
-            self._removed.discard(name)
-            self._set(after_end(self._states[name], progress))
-            self._end(name, drain=False)
+            one.is_leaving = False
+            self._set(one, after_end(one.state, progress))
+            self._end(one, drain=False)
             return
-        if progress.committed > self._states[name].committed:
-            self._refusals.pop(name, None)
-        load = self._loads[name].after(progress)
-        self._set(after_progress(self._states[name], progress, load.frames_per_second, load.cores))
-        if name in self._removed:
-            self._end(name, drain=True)
-        elif name in self._restarting:
-            self._returning[name] = self._streams[name]
-            self._set(after_change(self._states[name]))
-            self._end(name, drain=True)
+        self._set(one, one.note(progress))
+        if one.is_leaving:
+            self._end(one, drain=True)
+        elif one.is_to_restart:
+            self._set(one, after_change(one.state))
+            self._end(one, drain=True, returns=True)
         elif self._interruption.signal_number is None:
-            self._advance(name)
+            self._advance(one)
 
     def _take_ending(self, ending: Future[StreamProgress | None]) -> None:
-        name = self._endings.pop(ending)
-        if name in self._removed:
-            self._removed.remove(name)
-            self._returning.pop(name, None)
+        one = self._endings.pop(ending)
+        if one.is_leaving:
+            one.is_leaving = False
+            one.give_up_return()
             progress = None if ending.exception() else ending.result()
-            self._set(after_removal(self._states[name], progress))
-        elif name in self._returning and self._interruption.signal_number is None:
-            self._start(name)
+            self._set(one, after_removal(one.state, progress))
+        elif one.returns and self._interruption.signal_number is None:
+            self._start(one)
 
-    def _advance(self, name: str) -> None:
-        self._bursts[self._streams[name].advance()] = name
-        self._asked[name] = self._clock()
+    def _advance(self, one: DrivenStream) -> None:
+        self._bursts[one.advance()] = one
 
-    def _fail(self, name: str, error: Exception) -> None:
-        """End a stream, for good unless it only lost a process; it keeps its place meanwhile."""
-        state = self._states[name]
-        if self._may_return(name, error):
-            returns = self._returns[name].after_loss(state.committed)
-            if returns is not None:
-                self._returns[name] = returns
-                self._returning[name] = self._streams[name]
-                self._set(after_loss(state, _sentence(error)))
-                self._end(name, drain=False)
-                return
-        elif self._may_wait_for_disk(name, error):
-            self._refusals[name] = self._refusals.get(name, 0) + 1
-            self._returning[name] = self._streams[name]
-            self._set(after_refusal(state, _sentence(error)))
-            self._end(name, drain=False, pause=retry_seconds(self._refusals[name]))
-            return
-        self._removed.discard(name)
-        self._set(after_failure(state, _sentence(error)))
-        if name in self._streams:
-            self._end(name, drain=False)
+    def _fail(self, one: DrivenStream, error: Exception) -> None:
+        """End a stream, for good unless it may be started again; it keeps its place meanwhile."""
+        sentence = _sentence(error)
+        stays = one.is_at_work and not one.is_leaving
+        if stays and isinstance(error, ActorLostError) and one.may_go_back():
+            self._set(one, after_loss(one.state, sentence))
+            self._end(one, drain=False, returns=True)
+        elif stays and isinstance(error, UnwritableError) and one.state.live:
+            one.refusals += 1
+            self._set(one, after_refusal(one.state, sentence))
+            self._end(one, drain=False, returns=True, pause=retry_seconds(one.refusals))
+        else:
+            one.is_leaving = False
+            self._set(one, after_failure(one.state, sentence))
+            if one.is_at_work:
+                self._end(one, drain=False)
 
-    def _may_return(self, name: str, error: Exception) -> bool:
-        return isinstance(error, ActorLostError) and name in self._streams and name not in self._removed
-
-    def _may_wait_for_disk(self, name: str, error: Exception) -> bool:
-        is_refused = isinstance(error, UnwritableError) and self._states[name].live
-        return is_refused and name in self._streams and name not in self._removed
-
-    def _end(self, name: str, *, drain: bool, pause: float = 0.0) -> Future[StreamProgress | None]:
+    def _end(self, one: DrivenStream, *, drain: bool, returns: bool = False, pause: float = 0.0) -> None:
         """Stop a stream; its end is told after a pause, s, if the run does not end in the meantime."""
-        stream = self._streams.pop(name)
-        returning = name in self._returning
-        keeps_reader = returning and self._restarting.get(name, True)
-        heir = self._heir(name)
-        if heir is not None and self._coming[heir].open_reader == self._specs[name].open_reader:
-            self._returning[heir], keeps_reader = stream, True
+        heir = next((new for new, (before, _) in self._renamed.items() if before == one.name), None)
+        stop = one.stopping(drain=drain, returns=returns, heir=None if heir is None else self._coming[heir])
 
-        def stop() -> StreamProgress | None:
+        def stop_and_pause() -> StreamProgress | None:
             try:
-                return stream.stop(drain=drain, returns=keeps_reader)
+                return stop()
             finally:
-                if returning:
-                    self._host.repair()
                 self._is_ending.wait(pause)
 
-        ending = _in_thread(stop)
-        self._endings[ending] = name
-        return ending
-
-    def _heir(self, name: str) -> str | None:
-        """Return the name under which a stream that was taken from the list goes on."""
-        heirs = (new for new, (was, _) in self._renamed.items() if was == name)
-        return next(heirs, None) if name in self._removed else None
+        self._endings[_in_thread(stop_and_pause)] = one
 
     def _drain(self) -> None:
         """Let the bursts under way end, then label and commit what was read."""
         self._is_ending.set()
         while self._bursts:
             self._await_next()
-        endings = {self._end(name, drain=True): name for name in list(self._streams)}
+        drained = [one for one in self._streams.values() if one.is_at_work]
+        for one in drained:
+            self._end(one, drain=True)
         while self._endings:
             ready, _ = wait(self._endings, timeout=_WAKE_SECONDS, return_when=FIRST_COMPLETED)
             for ending in ready:
+                one = self._endings[ending]
                 self._take_ending(ending)
-                if ending in endings:
-                    name = endings[ending]
+                if one in drained:
                     progress = None if ending.exception() else ending.result()
-                    self._set(after_interruption(self._states[name], progress))
-        for name in sorted(self._returning.keys() & self._states.keys()):
-            self._set(after_interruption(self._states[name], None))
+                    self._set(one, after_interruption(one.state, progress))
+        for one in self._streams.values():
+            if one.returns:
+                self._set(one, after_interruption(one.state, None))
 
-    def _set(self, state: StreamState) -> None:
-        self._states[state.name] = state
+    def _set(self, one: DrivenStream, state: StreamState) -> None:
+        one.state = state
         self._show()
 
     def _show(self) -> None:
         for observer in self._observers:
             observer.update(self.states)
-
-
-def _new_state(spec: StreamSpec, length: int | None = None, earlier_cores: float = 0.0) -> StreamState:
-    if spec.max_frames is not None and (length is not None or spec.live):
-        length = spec.max_frames if length is None else min(length, spec.max_frames)
-    return StreamState(spec.name, line=spec.line, length=length, live=spec.live, earlier_cores=earlier_cores)
 
 
 def _sentence(error: Exception) -> str:

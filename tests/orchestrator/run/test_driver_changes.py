@@ -285,7 +285,12 @@ def test_a_camera_whose_disk_is_full_goes_on_when_there_is_room_but_a_file_fails
     refused = [FakeStream(10**9, fails_at=at, error=full) for at in (8, 0, 0)]
     last, interruption, recorder = FakeStream(10**9), Interruption(), Recorder()
     pauses: list[int] = []
-    monkeypatch.setattr(driver_module, "retry_seconds", lambda failures: pauses.append(failures) or 0.0)
+
+    def no_pause(failures: int) -> float:
+        pauses.append(failures)
+        return 0.0
+
+    monkeypatch.setattr(driver_module, "retry_seconds", no_pause)
 
     def changes() -> SpecChange | None:
         if last.read >= 20 or "failed" in recorder.history["camera"]:
