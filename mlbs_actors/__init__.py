@@ -10,7 +10,8 @@
 ``Region``, ``Boxes``              its bounding box, and those of all objects in a frame
 ``Config``, ``load_config``        all parameters, and how to change some of them
 ``MlbsError``                      base of all errors: ``ConfigError``, ``FrameError``, ``LayerError``,
-                                   ``SinkError``, ``SolverError``, ``SourceError``
+                                   ``MissingPackageError``, ``SinkError``, ``SolverError``,
+                                   ``SourceError``
 =================================  ===================================================================
 
 ``docs/python_api.md`` shows their use by example. All other modules are the engine's parts.
@@ -31,6 +32,7 @@ from mlbs_actors.errors import (
     ConfigError,
     FrameError,
     LayerError,
+    MissingPackageError,
     MlbsError,
     SinkError,
     SolverError,
@@ -54,6 +56,7 @@ __all__ = [
     "FrameError",
     "LayerError",
     "LayerSummary",
+    "MissingPackageError",
     "MlbsError",
     "MultilayerSubtractor",
     "Region",

@@ -11,6 +11,7 @@
     ├── ActorLostError   a process of a stream that was lost: the stream can go back to its last snapshot
     ├── NoPlaceError     no node can take a stream now: it waits
     ├── SnapshotError    a snapshot that is damaged or of another version
+    ├── MissingPackageError  a package of an extra that is not installed; an ImportError, too
     └── SinkError        results that cannot be written
 
 Each is raised with exactly one message, a sentence that says what to do, so that it crosses process
@@ -24,6 +25,7 @@ __all__ = [
     "ConfigError",
     "FrameError",
     "LayerError",
+    "MissingPackageError",
     "MlbsError",
     "NoPlaceError",
     "SinkError",
@@ -67,6 +69,10 @@ class NoPlaceError(MlbsError):
 
 class SnapshotError(MlbsError):
     """A snapshot is damaged or of another version."""
+
+
+class MissingPackageError(MlbsError, ImportError):
+    """A package that belongs to an extra is not installed."""
 
 
 class SinkError(MlbsError):

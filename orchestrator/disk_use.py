@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.record.commits import read_commits
+from mlbs_actors.record.record_tables import read_table
 from orchestrator.clips.packet_ring import PACKETS
 from orchestrator.events.clip_names import CLIPS
 from orchestrator.events.pictures import PICTURES
 from orchestrator.events.scene import VIEWS
 from orchestrator.sinks.overlay import overlays
-from orchestrator.storage.commit_log import read_commits
-from orchestrator.storage.record_tables import read_table
 from orchestrator.storage.snapshot_folder import SNAPSHOTS
 
 __all__ = ["KINDS", "StreamUse", "bytes_by_kind", "main", "stream_use"]

@@ -17,10 +17,10 @@ from record_fakes import write_run
 
 from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.source import SourceFrame
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord
-from orchestrator.sources.synthetic import scene
 
 ROOT = Path(__file__).resolve().parents[1]
 FRAMES = 12

@@ -17,6 +17,7 @@ from types import ModuleType
 import pytest
 
 import mlbs_actors
+from mlbs_actors.kernels.machine_code import WITHOUT_KERNELS
 
 PACKAGE = Path(mlbs_actors.__file__).parent
 PLAIN_MODULES = sorted(
@@ -115,6 +116,33 @@ def test_folders_of_the_engine_import_each_other_in_one_direction_only() -> None
     folders = {one: {other for other in below[one] & below.keys() if other != one} for one in below}
     assert len(folders) > 8
     list(TopologicalSorter(folders).static_order())  # raises CycleError, which names the circle
+
+
+def test_no_kernel_can_depend_on_the_folders_that_its_machine_code_is_not_named_after() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        imported = imported_modules(path)
+        if path.relative_to(PACKAGE).parts[0] in WITHOUT_KERNELS:
+            assert "mlbs_actors.kernels.jit" not in imported, path
+        else:
+            assert not {part for name in imported for part in name.split(".")[1:2]} & WITHOUT_KERNELS, path
+
+
+def test_what_needs_no_streams_is_imported_without_any_extra() -> None:
+    code = """
+import sys
+
+for package in ("av", "filelock", "jinja2", "PIL", "pyarrow", "pycocotools", "ray", "rich"):
+    sys.modules[package] = None
+from mlbs_actors import MissingPackageError, pictures, record, scenes
+
+try:
+    record.recorded_stream("out")
+except MissingPackageError as error:
+    assert "pip install 'mlbs-actors[read]'" in str(error)
+else:
+    sys.exit("it was read without pyarrow")
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ import pytest
 
 from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from orchestrator.evaluation.metrics import match_objects, object_level
 from orchestrator.evaluation.overlap import count_overlap
 from orchestrator.evaluation.track_metrics import id_switches
-from orchestrator.sources.synthetic import scene
 
 FRAMES = 12
 #: By this frame all is found that moves from the start on.

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from mlbs_actors import Config, MultilayerSubtractor, Result
 from mlbs_actors.inspection import FrameInspection
 from mlbs_actors.motion_field.field import MotionField, motion_field
-from orchestrator.sources.synthetic import scene
+from mlbs_actors.scenes.synthetic import scene
 
 FRAMES = 10
 

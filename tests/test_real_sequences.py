@@ -14,9 +14,9 @@ import pytest
 from PIL import Image
 
 from mlbs_actors import MultilayerSubtractor
+from mlbs_actors.scenes.synthetic import scene
 from orchestrator.evaluation.metrics import object_level, two_label
 from orchestrator.evaluation.overlap import count_overlap
-from orchestrator.sources.synthetic import scene
 
 SEQUENCES = ("cars1", "cars2", "cars4", "cars5", "people1")
 NO_DATA = "MLBS_DATA names no folder of real sequences"

@@ -24,8 +24,8 @@ from mlbs_actors import (
     load_config,
 )
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.segmentation.attached_parts import PartsState
-from orchestrator.sources.synthetic import scene
 
 
 def pictures_of(name: str, frames: int, first: int = 0) -> list[Array]:

@@ -20,9 +20,9 @@ from mlbs_actors.errors import SnapshotError
 from mlbs_actors.layer.layer import Layer
 from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.messages import Array, FrameEvidence, LayerKind
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture, check_file, read_state
-from orchestrator.sources.synthetic import scene
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 from mlbs_actors import Config, ConfigError, FrameError, MlbsError, MultilayerSubtractor, Result
 from mlbs_actors.inspection import FrameInspection
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import SyntheticScene, scene
 from mlbs_actors.subtractor import _say_if_it_compiles
-from orchestrator.sources.synthetic import SyntheticScene, scene
 
 
 def run(pictures: Iterable[Array], config: Config | None = None) -> list[Result]:

@@ -11,7 +11,7 @@ import pytest
 from user_program import areas_of_video, births, largest_box, results_of
 
 import mlbs_actors
-from orchestrator.sources.synthetic import scene
+from mlbs_actors.scenes.synthetic import scene
 
 PROGRAM = Path(__file__).parent / "fakes/user_program.py"
 #: Uses of the package that are wrong, and words of what is said of them.

@@ -1,8 +1,8 @@
 """The folder in which the machine code of compiled kernels is kept.
 
 Numba compiles a kernel again when its own module changes, but not when a function or constant imported from
-another module does. So the folder is named after a digest of the whole package: any change of it starts an
-empty one.
+another module does. So the folder is named after a digest of the package: any change of what kernels could be
+made of starts an empty one.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
 
-__all__ = ["compiled_mark", "has_machine_code", "machine_code_folder", "package_digest"]
+__all__ = ["WITHOUT_KERNELS", "compiled_mark", "has_machine_code", "machine_code_folder", "package_digest"]
 
 _PACKAGE = Path(__file__).parents[1]
 _FOLDERS = "kernels-*"
+
+#: Folders of the package that no kernel imports anything from.
+WITHOUT_KERNELS = frozenset({"pictures", "record", "scenes"})
 
 #: Folders that are kept, for the newest versions of the package.
 _KEPT = 3
@@ -64,10 +67,13 @@ def machine_code_folder() -> Path:
 
 
 def package_digest() -> str:
-    """Hash the names and contents of all modules of the package."""
+    """Hash the names and contents of all modules that kernels could depend on."""
     digest = hashlib.sha256()
     for path in sorted(_PACKAGE.rglob("*.py")):
-        digest.update(f"{path.relative_to(_PACKAGE)}\n".encode())
+        inside = path.relative_to(_PACKAGE)
+        if inside.parts[0] in WITHOUT_KERNELS:
+            continue
+        digest.update(f"{inside}\n".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from orchestrator.rows.frame_row import FrameRow
-from orchestrator.rows.scene_place import Point
+from mlbs_actors.record.frame_row import FrameRow
+from mlbs_actors.record.scene_place import Point
 
 __all__ = [
     "HEAT_COLUMNS",

@@ -13,6 +13,8 @@ from typing import Any
 
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
+from mlbs_actors.record.recorded_stream import read_description
+from mlbs_actors.scenes.synthetic import SCHEME, scene_from_uri
 from orchestrator.evaluation import datasets
 from orchestrator.evaluation.ablation import ablation_table, ablation_variants
 from orchestrator.evaluation.disturbance import disturbance_as_json, disturbance_table, disturbance_variants
@@ -43,9 +45,7 @@ from orchestrator.evaluation.sequences import Sequence as TruthSequence
 from orchestrator.evaluation.sizes import size_variants, sizes_table
 from orchestrator.evaluation.variants import Variant, VariantResults, run_variants, variants_as_json
 from orchestrator.pictures.privacy import is_private
-from orchestrator.run.run_folder import read_description
 from orchestrator.run.versions import installed_versions
-from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = ["main"]
 

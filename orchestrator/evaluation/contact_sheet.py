@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array
+from mlbs_actors.pictures.drawing import draw_labels
+from mlbs_actors.pictures.layer_colours import layer_colour
 from orchestrator.evaluation.overlap import NOT_JUDGED
 from orchestrator.evaluation.sequence_scorer import ExtraLayer
-from orchestrator.pictures.drawing import draw_labels
-from orchestrator.pictures.layer_colours import layer_colour
 
 __all__ = ["SheetFrame", "contact_sheet", "extra_layer_sheet", "overlay", "spread_evenly"]
 

@@ -19,10 +19,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.scenes.synthetic import SCHEME, scene_from_uri
 from orchestrator.evaluation.bms_truth import BmsSequence, definition_of
 from orchestrator.evaluation.options import DATA_VARIABLE
 from orchestrator.evaluation.sequences import FileSequence, FolderSequence, SceneSequence, Sequence
-from orchestrator.sources.synthetic import SCHEME, scene_from_uri
 
 __all__ = [
     "data_root",

@@ -12,9 +12,9 @@ from typing import Protocol
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.record.record_tables import read_rows
 from orchestrator.evaluation import sequences
 from orchestrator.evaluation.stored_flow import StoredFlow
-from orchestrator.storage.record_tables import read_rows
 from orchestrator.storage.segments import archived_masks
 from orchestrator.working_size import labels_in_size, resized
 

@@ -16,10 +16,10 @@ from PIL import Image
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import SyntheticScene
 from orchestrator.evaluation.overlap import NOT_JUDGED
 from orchestrator.sources.images import decode_image
 from orchestrator.sources.presence import images_of
-from orchestrator.sources.synthetic import SyntheticScene
 
 __all__ = ["FileSequence", "FolderSequence", "SceneSequence", "Sequence", "SequenceChange", "read_label_map"]
 

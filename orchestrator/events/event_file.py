@@ -22,6 +22,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from mlbs_actors.record.frame_row import FrameRow
 from orchestrator.counts.count_files import CountFiles
 from orchestrator.counts.tally import CountState, Tally
 from orchestrator.events.clip_names import clip_name
@@ -31,7 +32,6 @@ from orchestrator.events.happenings import Happenings
 from orchestrator.events.pictures import picture_name
 from orchestrator.events.situation import situation_after
 from orchestrator.events.zones import EventRules
-from orchestrator.rows.frame_row import FrameRow
 from orchestrator.storage.durable_files import publish, replace_file, temporary_path
 
 __all__ = ["EVENTS", "EventFile", "committed_events", "event_id"]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from mlbs_actors.record.frame_row import ResultRow
+from mlbs_actors.record.scene_place import Point
 from orchestrator.events.event import Event, EventKind
 from orchestrator.rows.endings import SEEN, Ending
-from orchestrator.rows.frame_row import ResultRow
-from orchestrator.rows.scene_place import Point
 from orchestrator.rows.sighting import Sighting
 
 __all__ = ["Approach", "EventState", "Followed", "Presence", "RuleState"]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
 from orchestrator.events.event import Event
 from orchestrator.events.event_state import EventState
 from orchestrator.events.zones import EventRules, Zone
-from orchestrator.rows.frame_row import FrameRow, ResultRow
 
 __all__ = ["faults"]
 

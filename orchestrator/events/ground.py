@@ -7,9 +7,9 @@ from itertools import pairwise
 from typing import Literal
 
 from mlbs_actors.messages import Region
+from mlbs_actors.record.frame_row import ResultRow
+from mlbs_actors.record.scene_place import Point
 from orchestrator.events.zones import Zone
-from orchestrator.rows.frame_row import ResultRow
-from orchestrator.rows.scene_place import Point
 
 __all__ = ["crossing", "foot_of", "is_inside", "on_ground"]
 

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from mlbs_actors.messages import LayerSummary
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
 from orchestrator.events.event import Event
 from orchestrator.events.event_state import Approach, EventState, Followed, Presence
 from orchestrator.events.faults import faults
@@ -20,7 +21,6 @@ from orchestrator.events.ground import crossing, is_inside, on_ground
 from orchestrator.events.rule_machine import rule_events
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.rows.endings import SEEN, ending
-from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.rows.sighting import Sighting
 
 __all__ = ["HOLD", "Happenings"]

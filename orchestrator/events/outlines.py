@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from mlbs_actors.pictures.drawing import Outline
+from mlbs_actors.record.scene_place import ScenePlace
 from orchestrator.events.zones import Zone
-from orchestrator.pictures.drawing import Outline
-from orchestrator.rows.scene_place import ScenePlace
 
 __all__ = ["outlines"]
 

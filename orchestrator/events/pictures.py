@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array, LayerSummary, Region
+from mlbs_actors.pictures.drawing import Outline, draw_box, draw_caption, draw_outlines
 from orchestrator.events.frame_names import frame_of, in_order
-from orchestrator.pictures.drawing import Outline, draw_box, draw_caption, draw_outlines
 from orchestrator.storage.durable_files import remove_temporary, temporary_path
 
 __all__ = ["PICTURES", "EventPictures", "Pictured", "picture_name"]

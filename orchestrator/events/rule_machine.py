@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
 from orchestrator.events.event import Event
 from orchestrator.events.event_state import EventState, Followed, RuleState
 from orchestrator.events.ground import is_inside, on_ground
 from orchestrator.events.rules import Count, Dwell, Rule, Step
 from orchestrator.events.zones import EventRules, Zone
-from orchestrator.rows.frame_row import FrameRow, ResultRow
 
 __all__ = ["rule_events"]
 

@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import NO_PICTURE, Array, Segmentation
+from mlbs_actors.record.scene_place import ScenePlace
 from orchestrator.events.views import View, picture_for_views
-from orchestrator.rows.scene_place import ScenePlace
 
 __all__ = ["VIEWS", "SceneTracker", "resizing"]
 

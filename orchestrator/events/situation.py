@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 
+from mlbs_actors.record.frame_row import FrameRow
 from orchestrator.counts.tally import Situation
 from orchestrator.events.ground import foot_of
 from orchestrator.events.happenings import HOLD, Happenings
-from orchestrator.rows.frame_row import FrameRow
 
 __all__ = ["situation_after"]
 

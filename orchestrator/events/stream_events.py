@@ -6,6 +6,8 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
+from mlbs_actors.record.scene_place import ScenePlace
 from mlbs_actors.source import SourceFrame
 from orchestrator.events.clip_names import forget_clips_before
 from orchestrator.events.event_file import EventFile
@@ -14,8 +16,6 @@ from orchestrator.events.pictures import EventPictures, Pictured
 from orchestrator.events.scene import VIEWS, SceneTracker
 from orchestrator.events.zones import EventRules
 from orchestrator.pictures.content import DEFAULT_DRAWING, Drawing
-from orchestrator.rows.frame_row import FrameRow, ResultRow
-from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.storage.durable_files import remove_temporary, temporary_path
 
 __all__ = ["StreamEvents"]

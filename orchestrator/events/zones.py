@@ -17,11 +17,11 @@ from pydantic import (
 )
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.record.scene_place import Point
 from orchestrator.events.event import EventKind
 from orchestrator.events.object_filter import Strict
 from orchestrator.events.polygons import read_polygon
 from orchestrator.events.rules import Rule, check_rules
-from orchestrator.rows.scene_place import Point
 from orchestrator.yaml_file import faults_of, read_yaml
 
 __all__ = ["EventRules", "EventSettings", "Minimum", "Zone", "ZonesFile", "read_zones"]

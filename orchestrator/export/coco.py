@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from orchestrator.export.recorded_stream import recorded_stream, streams_of
+from mlbs_actors.record.recorded_stream import recorded_stream, streams_of
 
 __all__ = ["CATEGORY", "write_coco"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from orchestrator.export.recorded_stream import recorded_stream, streams_of
+from mlbs_actors.record.recorded_stream import recorded_stream, streams_of
 
 __all__ = ["write_csv"]
 

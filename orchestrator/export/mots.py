@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
-from orchestrator.export.recorded_stream import recorded_stream, streams_of
+from mlbs_actors.record.recorded_stream import recorded_stream, streams_of
 
 __all__ = ["CLASS", "write_mots"]
 

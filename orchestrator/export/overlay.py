@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.progress import track
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.record.recorded_stream import description_of, recorded_stream, streams_of
 from mlbs_actors.wording import count_of
 from orchestrator.events.zones import Zone
-from orchestrator.export.recorded_stream import description_of, recorded_stream, streams_of
 from orchestrator.export.replay import with_pictures
 from orchestrator.pictures.content import DEFAULT_DRAWING, Drawing
 from orchestrator.pictures.privacy import is_private

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
-from orchestrator.export.recorded_stream import recorded_stream, streams_of
+from mlbs_actors.record.recorded_stream import recorded_stream, streams_of
 from orchestrator.sinks.label_image import LARGEST_INDEXED_LABEL, encode_label_image
 
 __all__ = ["write_davis", "write_youtube_vos"]

@@ -15,9 +15,9 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.inspection import FrameInspection
 from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.record.recorded_stream import RecordedFrame
 from mlbs_actors.source import SourceFrame
 from mlbs_actors.subtractor import MultilayerSubtractor
-from orchestrator.export.recorded_stream import RecordedFrame
 from orchestrator.pictures.privacy import FRAMES_AFTER, MovingArea, blurred
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.opening import open_reader

@@ -16,9 +16,9 @@ import rerun.blueprint as rrb
 from mlbs_actors.inspection import LayerInspection
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.motion_field.node_grid import node_positions
+from mlbs_actors.pictures.layer_colours import layer_colour
 from mlbs_actors.wording import count_of
 from orchestrator.export.replay import InspectedFrame
-from orchestrator.pictures.layer_colours import layer_colour
 
 __all__ = ["Written", "layer_rgb", "layout", "write_internals"]
 

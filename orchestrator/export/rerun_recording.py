@@ -17,7 +17,7 @@ from rich.progress import track
 
 from mlbs_actors.config import Config
 from mlbs_actors.messages import BACKGROUND, Array, LayerSummary
-from orchestrator.export.recorded_stream import (
+from mlbs_actors.record.recorded_stream import (
     RecordedFrame,
     description_of,
     recorded_stream,

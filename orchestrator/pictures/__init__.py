@@ -1,5 +1,5 @@
-"""What people see of a frame: labels, zones and texts drawn over it, and what is hidden in it.
+"""What pictures of a run show beside their labels, and what is hidden in them.
 
-Read :mod:`.drawing` first. Below :mod:`orchestrator.events` and :mod:`orchestrator.sinks`, which it does not
-know.
+:mod:`mlbs_actors.pictures` draws the labels. Below :mod:`orchestrator.events` and :mod:`orchestrator.sinks`,
+which it does not know.
 """

@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from mlbs_actors.messages import Array
-from orchestrator.pictures.layer_colours import layer_colour
+from mlbs_actors.pictures.layer_colours import layer_colour
 from orchestrator.report.history import StageTimes, StreamHistory, frame_ranges
 from orchestrator.sinks.object_list import SeenObject
 

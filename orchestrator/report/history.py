@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 
 from mlbs_actors.messages import Array
-from orchestrator.rows.frame_row import FrameRow
+from mlbs_actors.record.commits import read_commits
+from mlbs_actors.record.frame_row import FrameRow
+from mlbs_actors.record.record_tables import read_rows, read_table
 from orchestrator.sinks.object_list import ObjectList, SeenObject
-from orchestrator.storage.commit_log import read_commits
-from orchestrator.storage.record_tables import read_rows, read_table
 
 __all__ = ["LONG_SECONDS", "MOST_FRAMES", "StageTimes", "StreamHistory", "frame_ranges", "read_history"]
 

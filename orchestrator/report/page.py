@@ -12,6 +12,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.record.commits import read_commits
 from mlbs_actors.wording import count_of
 from orchestrator.counts.count_files import COUNTS_CSV
 from orchestrator.counts.stream_counts import CountReader, Heat, recent_hours
@@ -24,7 +25,6 @@ from orchestrator.report.pictures import StripPicture, overlay_strip
 from orchestrator.sinks.object_files import OBJECTS_CSV
 from orchestrator.sinks.object_list import SeenObject
 from orchestrator.sinks.overlay import overlays, stream_remarks
-from orchestrator.storage.commit_log import read_commits
 from orchestrator.storage.segments import segment_time
 
 __all__ = ["render_report"]

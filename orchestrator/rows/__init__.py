@@ -1,5 +1,4 @@
-"""What a record knows of each frame, and what events, tables and lists of objects are made of.
+"""What is made of the rows of a record, :mod:`mlbs_actors.record.frame_row`, for events and lists of objects.
 
-Read :mod:`.frame_row` first; :mod:`.scene_place`, :mod:`.sighting` and :mod:`.endings` say where the scene is
-in a frame, where an object is, and how it ends.
+:mod:`.sighting` and :mod:`.endings` say where an object is, and how it ends.
 """

@@ -8,7 +8,7 @@ from typing import Literal
 from pycocotools import mask as coco_mask
 
 from mlbs_actors.messages import Region
-from orchestrator.rows.frame_row import ResultRow
+from mlbs_actors.record.frame_row import ResultRow
 
 __all__ = ["SEEN", "Ending", "ending"]
 

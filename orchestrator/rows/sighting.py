@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.messages import LayerSummary, Region
-from orchestrator.rows.frame_row import FrameRow
+from mlbs_actors.record.frame_row import FrameRow
 
 __all__ = ["Sighting"]
 

@@ -18,10 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from mlbs_actors.errors import SinkError
+from mlbs_actors.record.commits import Commit, permanent, read_commits
 from orchestrator.disk_use import bytes_by_kind
 from orchestrator.run.retention_limits import Keep
 from orchestrator.run.stream_state import StreamState
-from orchestrator.storage.commit_log import Commit, forget_segment, permanent, read_commits
+from orchestrator.storage.commit_log import forget_segment
 from orchestrator.storage.segments import segment_folders, segment_time
 from orchestrator.storage.share_of_time import ShareOfTime
 from orchestrator.storage.snapshot_folder import SNAPSHOTS

@@ -19,6 +19,7 @@ from filelock import FileLock, Timeout
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.record.recorded_stream import read_description
 from orchestrator.command_options import flag_of
 from orchestrator.credentials import mask
 from orchestrator.events.delivery import Backlog
@@ -32,7 +33,7 @@ from orchestrator.run.versions import installed_versions
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.storage.durable_files import replace_file
 
-__all__ = ["RunFolder", "StatusFile", "describe_run", "read_description"]
+__all__ = ["RunFolder", "StatusFile", "describe_run"]
 
 #: Keys of ``run.json`` that must not change while there is a file that has not come to its end.
 _SAME = {"config": "parameters"} | {
@@ -54,15 +55,6 @@ _STATUS_SECONDS = 0.5
 
 #: A run that has not written it for so long is dead, s.
 _ALIVE_SECONDS = 30.0
-
-
-def read_description(run: Path) -> dict[str, Any] | None:
-    """Read the ``run.json`` of a folder; None if it holds no run, or the file cannot be read."""
-    try:
-        description: dict[str, Any] = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return description
 
 
 class RunFolder:

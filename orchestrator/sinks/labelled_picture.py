@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import cv2
 
 from mlbs_actors.messages import Array, Region
+from mlbs_actors.pictures.drawing import draw_caption, draw_labels, draw_outlines
+from mlbs_actors.record.scene_place import ScenePlace
 from orchestrator.events.outlines import outlines
 from orchestrator.events.zones import Zone
 from orchestrator.pictures.content import Drawing
-from orchestrator.pictures.drawing import draw_caption, draw_labels, draw_outlines
-from orchestrator.rows.scene_place import ScenePlace
 
 __all__ = ["LabelledPicture"]
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from orchestrator.rows.frame_row import FrameRow
+from mlbs_actors.record.commits import read_commits
+from mlbs_actors.record.frame_row import FrameRow
+from mlbs_actors.record.record_tables import read_rows
 from orchestrator.sinks.object_list import ListState, ObjectList
-from orchestrator.storage.commit_log import read_commits
 from orchestrator.storage.durable_files import publish, temporary_path
-from orchestrator.storage.record_tables import read_rows
 from orchestrator.storage.share_of_time import ShareOfTime
 
 __all__ = ["OBJECTS_CSV", "OBJECTS_JSON", "ObjectFiles"]

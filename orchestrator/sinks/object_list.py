@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from mlbs_actors.messages import LayerKind, LayerSummary, ObjectState
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
 from orchestrator.rows.endings import SEEN, Ending, ending
-from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.rows.sighting import Sighting
 
 __all__ = ["ListState", "ObjectList", "SeenObject"]

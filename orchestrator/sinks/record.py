@@ -23,11 +23,13 @@ import pyarrow.parquet as pq
 from mlbs_actors.actors.stream.protocol import Opening, Snapshot
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
+from mlbs_actors.record.commits import oldest_frame, permanent, read_commits
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
+from mlbs_actors.record.record_tables import newest_part, part_path
 from mlbs_actors.source import GapStatus, SourceFrame
 from orchestrator.events.stream_events import StreamEvents
 from orchestrator.events.zones import EventRules
 from orchestrator.pictures.content import DEFAULT_DRAWING, Drawing
-from orchestrator.rows.frame_row import FrameRow, ResultRow
 from orchestrator.sinks.background import background_plate
 from orchestrator.sinks.cutouts import cutouts
 from orchestrator.sinks.label_image import encode_label_image, encode_picture
@@ -37,7 +39,7 @@ from orchestrator.sinks.object_files import ObjectFiles
 from orchestrator.sinks.overlay import OverlayVideo, overlay_path
 from orchestrator.sinks.still import Still
 from orchestrator.sources.address import SourceAddress
-from orchestrator.storage.commit_log import CommitLog, first_frame, permanent, read_commits
+from orchestrator.storage.commit_log import CommitLog
 from orchestrator.storage.durable_files import (
     UnwritableError,
     publish,
@@ -45,7 +47,6 @@ from orchestrator.storage.durable_files import (
     temporary_path,
 )
 from orchestrator.storage.picture_folders import PictureFolders
-from orchestrator.storage.record_tables import newest_part, part_path
 from orchestrator.storage.segments import Segments
 from orchestrator.storage.snapshot_folder import SNAPSHOTS, SnapshotFolder
 from orchestrator.storage.tables import stages_of, write_frames, write_layers
@@ -361,7 +362,7 @@ class StreamRecord:
 
     def _forget_deleted(self) -> None:
         """Take out of the lists what is from before the oldest segment that is left."""
-        first = first_frame(self._folder)
+        first = oldest_frame(self._folder)
         if first > self._begins_with:
             self._begins_with = first
             self._events.forget_before(first)

@@ -15,9 +15,9 @@ from pathlib import Path
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.scenes.scene_scripts import SCRIPTS
+from mlbs_actors.scenes.synthetic import LIMITS, SCHEME
 from orchestrator.credentials import MASK, mask
-from orchestrator.sources.scene_scripts import SCRIPTS
-from orchestrator.sources.synthetic import LIMITS, SCHEME
 
 __all__ = ["SourceAddress", "SourceKind", "fixed_part", "has_wildcards", "parse_address"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mlbs_actors.scenes.synthetic import SyntheticScene, scene_from_uri
 from mlbs_actors.source import FrameReader, SourceFrame
 from orchestrator.sources.address import SourceAddress, SourceKind
 from orchestrator.sources.animation import AnimationReader, is_animation
@@ -9,7 +10,6 @@ from orchestrator.sources.images import FRAME_RATE, ImageSequenceReader
 from orchestrator.sources.live import LiveReader
 from orchestrator.sources.packets import PacketStore
 from orchestrator.sources.presence import holds_images, require_source
-from orchestrator.sources.synthetic import SyntheticScene, scene_from_uri
 from orchestrator.sources.video import VideoReader
 
 __all__ = ["SceneReader", "open_reader"]

@@ -16,8 +16,11 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 
-from orchestrator.storage.commit_log import Commit, CommitLog, permanent, read_commits
+from mlbs_actors.record.commits import Commit, permanent, read_commits
+from mlbs_actors.record.record_tables import TABLES, part_path
+from orchestrator.storage.commit_log import CommitLog
 from orchestrator.storage.durable_files import publish, remove_temporary
+from orchestrator.storage.merged_tables import merge_parts
 from orchestrator.storage.picture_archive import (
     ArchivedPicture,
     append_pictures,
@@ -25,7 +28,6 @@ from orchestrator.storage.picture_archive import (
     cut_archive,
     end_archive,
 )
-from orchestrator.storage.record_tables import TABLES, merge_parts, part_path
 
 __all__ = ["Segments", "archive_path", "archived_masks", "segment_folders", "segment_time"]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from orchestrator.rows.frame_row import FrameRow, ResultRow
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
 
 __all__ = [
     "frame_schema",

@@ -47,8 +47,8 @@ from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress
 from mlbs_actors.actors.stream.sink import SinkActor
 from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceError
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.source import SourceFrame, SourceSilence, SourceStatus
-from orchestrator.sources.synthetic import scene
 
 # ---- the same bytes
 

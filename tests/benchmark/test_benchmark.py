@@ -15,8 +15,8 @@ from benchmark.in_process.peers import PEERS, Peer
 from benchmark.measurements.methods import methods_table
 from mlbs_actors import Config
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from orchestrator.evaluation.sequences import SceneSequence
-from orchestrator.sources.synthetic import scene
 
 SMALL = "synthetic:demo?frames=8&width=160&height=120"
 

@@ -49,7 +49,7 @@ from benchmark.through_ray.process_costs import (
 )
 from mlbs_actors import Config
 from mlbs_actors.errors import ConfigError
-from orchestrator.sources.synthetic import scene
+from mlbs_actors.scenes.synthetic import scene
 
 ROOT = Path(__file__).resolve().parents[2]
 TICK = os.sysconf("SC_CLK_TCK")

@@ -38,11 +38,11 @@ from chaos.harness.scenario import (
 from chaos.scenarios.catalogue import FAULTS
 from chaos.scenarios.kills import COMMIT_STEPS, KILLS, STEPS
 from mlbs_actors.messages import Segmentation
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.source import SourceFrame
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.live import LiveReader
-from orchestrator.sources.synthetic import scene
 
 
 def write(folder: Path, frames: int) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from mlbs_actors import MultilayerSubtractor, Result
 from mlbs_actors.messages import Array, LayerAppearance
-from orchestrator.sources.synthetic import SyntheticScene, scene
+from mlbs_actors.scenes.synthetic import SyntheticScene, scene
 
 __all__ = ["LabelledClip"]
 

@@ -20,7 +20,7 @@ from numba.core.dispatcher import Dispatcher
 from mlbs_actors import Config
 from mlbs_actors.actors.parts import EngineParts, LayerPart
 from mlbs_actors.messages import Array, FrameEvidence, LayerPosterior, Segmentation
-from orchestrator.sources.synthetic import scene
+from mlbs_actors.scenes.synthetic import scene
 
 #: Scenes, their frames and height: several objects from the start, a crowd, and one that enters late.
 SCENES = (("demo", 12, 480), ("steady-crowd", 20, 480), ("crowd", 60, 240), ("traffic", 24, 480))

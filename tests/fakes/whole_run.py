@@ -9,7 +9,7 @@ from pathlib import Path
 
 import cv2
 
-from orchestrator.sources.synthetic import scene
+from mlbs_actors.scenes.synthetic import scene
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 

@@ -14,7 +14,7 @@ from mlbs_actors import MultilayerSubtractor, Result
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.footage.fixed import FixedState, _completed, fixed_cells
 from mlbs_actors.messages import Array
-from orchestrator.sources.synthetic import SyntheticScene
+from mlbs_actors.scenes.synthetic import SyntheticScene
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from mlbs_actors import MultilayerSubtractor, Result
 from mlbs_actors.footage.light import light_change, relit
 from mlbs_actors.footage.pictures import is_still, repeats
 from mlbs_actors.messages import Array
-from orchestrator.sources.synthetic import SyntheticScene, scene
+from mlbs_actors.scenes.synthetic import SyntheticScene, scene
 
 FRAMES = 40
 AT = 20

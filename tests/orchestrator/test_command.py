@@ -31,6 +31,7 @@ from whole_run import DAMAGED, PLANTED, REPOSITORY, SECRET, FinishedRun, run_who
 from mlbs_actors import __version__
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.scenes.synthetic import scene
 from orchestrator import ray_session
 from orchestrator.__main__ import main
 from orchestrator.command_line import command_again, parse
@@ -42,7 +43,6 @@ from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
-from orchestrator.sources.synthetic import scene
 
 
 def stream_list(folder: Path, *lines: str) -> Path:

@@ -12,10 +12,10 @@ from PIL import Image
 from mlbs_actors import MultilayerSubtractor, Segmentation
 from mlbs_actors.actors.stream.protocol import StreamSink
 from mlbs_actors.messages import Array, LayerSummary, Region
+from mlbs_actors.record.record_tables import read_table
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.source import FrameReader, SourceFrame, SourceSilence
 from orchestrator.sources.opening import SceneReader
-from orchestrator.sources.synthetic import scene
-from orchestrator.storage.record_tables import read_table
 from orchestrator.working_size import FullSizeRecord, ShrinkingReader, enlarged, shrunk
 
 

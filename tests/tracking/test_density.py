@@ -9,10 +9,10 @@ from flow_fakes import dense_flow, flow_gray
 from mlbs_actors.config import Config
 from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.tracking.density import SQUARE, room_left, within_room
 from mlbs_actors.tracking.tracker import Transition, track
 from mlbs_actors.tracking.trajectories import empty_trajectories
-from orchestrator.sources.synthetic import scene
 
 SHAPE, SIDE, OLDEST, MOST = (37, 50), 2, 24, 7
 

@@ -10,10 +10,10 @@ import pytest
 
 from mlbs_actors import FrameError, MultilayerSubtractor
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import SyntheticScene, scene
 from mlbs_actors.tracking.trajectories import TrackFunction
 from orchestrator.evaluation.metrics import object_level
 from orchestrator.evaluation.overlap import count_overlap
-from orchestrator.sources.synthetic import SyntheticScene, scene
 
 FRAMES = 10
 

@@ -9,10 +9,10 @@ from flow_fakes import dense_flow, flow_gray
 from mlbs_actors.config import Config
 from mlbs_actors.footage.fixed import FixedState
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.tracking import tracker
 from mlbs_actors.tracking.tracker import Tracked, Transition, track
 from mlbs_actors.tracking.trajectories import TrajectoryState, empty_trajectories
-from orchestrator.sources.synthetic import scene
 
 CONFIG = Config()
 SHAPE, SIDE = (240, 320), 1

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from mlbs_actors import MultilayerSubtractor
-from orchestrator.sources.synthetic import scene
+from mlbs_actors.scenes.synthetic import scene
 
 pytestmark = pytest.mark.ray
 

@@ -24,6 +24,7 @@ from mlbs_actors.actors.stream.messages import ReadNext, Reopen
 from mlbs_actors.actors.stream.protocol import Snapshot, StreamSpec
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
+from mlbs_actors.record.commits import read_commits
 from mlbs_actors.source import FrameReader, SourceFrame, SourcePosition, SourceSilence, SourceStatus
 from mlbs_actors.state_file import capture
 from orchestrator.interruption import Interruption
@@ -31,7 +32,6 @@ from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord, has_snapshot, recorded_frames
-from orchestrator.storage.commit_log import read_commits
 from orchestrator.storage.snapshot_folder import SnapshotFolder
 
 SAVE = frozenset({"masks", "parquet"})

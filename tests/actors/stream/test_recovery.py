@@ -33,6 +33,7 @@ from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream.protocol import Snapshot, StreamSpec
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
+from mlbs_actors.record.commits import Commit, read_commits
 from mlbs_actors.source import SourceFrame
 from mlbs_actors.state_file import capture
 from orchestrator.interruption import Interruption
@@ -45,7 +46,7 @@ from orchestrator.run.run_folder import RunFolder, StatusFile
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import GROUP_FRAMES, StreamRecord, ends_group, recorded_frames
 from orchestrator.storage import commit_log, durable_files
-from orchestrator.storage.commit_log import Commit, CommitLog, read_commits
+from orchestrator.storage.commit_log import CommitLog
 
 SAVE = frozenset({"masks", "parquet"})
 

@@ -19,11 +19,11 @@ from benchmark.through_ray.pipeline import Pipeline, pipeline
 from mlbs_actors.actors.stream.protocol import Opening, StreamSink
 from mlbs_actors.config import Config
 from mlbs_actors.messages import LayerAppearance, Segmentation
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.source import SourceFrame
 from orchestrator.evaluation.figures import format_table
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.opening import SceneReader
-from orchestrator.sources.synthetic import scene
 
 __all__ = ["CostFigures", "measure_cost"]
 

@@ -17,8 +17,8 @@ import pyarrow.parquet as pq
 
 from benchmark.through_ray.process_costs import Process, process_tree
 from chaos.harness.injection import Injector
+from mlbs_actors.record.commits import read_commits
 from mlbs_actors.source import GapStatus
-from orchestrator.storage.commit_log import read_commits
 
 __all__ = ["ExpectationError", "ObservedRun", "content", "expect", "labelled", "still_running"]
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from chaos.harness.observed_run import ExpectationError, ObservedRun, content, expect, labelled
 from chaos.harness.reference import References
+from mlbs_actors.record.record_tables import read_rows
 from orchestrator.sinks.object_files import OBJECTS_CSV
 from orchestrator.sinks.object_list import ObjectList
-from orchestrator.storage.record_tables import read_rows
 
 __all__ = [
     "BYSTANDER",

@@ -25,10 +25,10 @@ from chaos.harness.scenario import (
     single_fault,
 )
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.source import SourceFrame
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.opening import open_reader
-from orchestrator.sources.synthetic import scene
 
 __all__ = ["SCENARIOS", "write_video"]
 

@@ -16,7 +16,7 @@ from chaos.harness.observed_run import ObservedRun, content, expect, labelled
 from chaos.harness.reference import label_in_process
 from chaos.harness.scenario import RecoveryTime, ScenarioContext, expect_end, expect_no_secret, single_fault
 from mlbs_actors.messages import Array
-from orchestrator.sources.synthetic import scene
+from mlbs_actors.scenes.synthetic import scene
 
 __all__ = ["SCENARIOS"]
 

@@ -28,7 +28,7 @@ from chaos.harness.scenario import (
     single_fault,
 )
 from mlbs_actors.messages import Array
-from orchestrator.sources.synthetic import scene
+from mlbs_actors.scenes.synthetic import scene
 
 __all__ = ["SCENARIOS"]
 

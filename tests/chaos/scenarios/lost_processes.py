@@ -22,7 +22,7 @@ from chaos.harness.scenario import (
     victim,
 )
 from chaos.scenarios.damaged_sources import write_video
-from orchestrator.sources.synthetic import scene
+from mlbs_actors.scenes.synthetic import scene
 
 __all__ = ["SCENARIOS"]
 

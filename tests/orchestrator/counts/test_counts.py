@@ -15,11 +15,11 @@ import pyarrow.parquet as pq
 import pytest
 from record_fakes import HEIGHT, WIDTH, bare_snapshot, frame, segmentation
 
+from mlbs_actors.record.frame_row import FrameRow
+from mlbs_actors.record.scene_place import Point
 from mlbs_actors.source import SourceFrame
 from orchestrator.counts.tally import HEAT_COLUMNS, PICTURE, CountState, Situation, Tally, heat_cell
 from orchestrator.events.zones import EventRules, Zone
-from orchestrator.rows.frame_row import FrameRow
-from orchestrator.rows.scene_place import Point
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.storage.commit_log import forget_segment
 from orchestrator.storage.segments import segment_folders

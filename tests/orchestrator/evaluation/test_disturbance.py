@@ -15,6 +15,7 @@ from evaluation_fakes import BrightSubtractor, write_bright_sequence
 from mlbs_actors.config import Config, load_config
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from orchestrator.evaluation import scoring
 from orchestrator.evaluation.command import main
 from orchestrator.evaluation.disturbance import (
@@ -36,7 +37,6 @@ from orchestrator.evaluation.scoring import SequenceResult
 from orchestrator.evaluation.sequence_scorer import SequenceScorer
 from orchestrator.evaluation.sequences import SceneSequence, Sequence
 from orchestrator.evaluation.variants import Variant, VariantResults
-from orchestrator.sources.synthetic import scene
 
 
 class NumberedSequence:

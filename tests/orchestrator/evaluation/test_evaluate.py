@@ -19,6 +19,8 @@ from PIL import Image
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, FrameError, SourceError
 from mlbs_actors.messages import Array, Region, Segmentation
+from mlbs_actors.pictures.layer_colours import layer_colour
+from mlbs_actors.scenes.synthetic import SyntheticScene, scene
 from orchestrator.evaluation import scoring
 from orchestrator.evaluation.command import main
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, spread_evenly
@@ -27,8 +29,6 @@ from orchestrator.evaluation.figures import format_table, mean_of_sequences
 from orchestrator.evaluation.labelling import EngineLabelling
 from orchestrator.evaluation.scoring import score_sequence
 from orchestrator.evaluation.sequences import FolderSequence, SceneSequence, read_label_map
-from orchestrator.pictures.layer_colours import layer_colour
-from orchestrator.sources.synthetic import SyntheticScene, scene
 
 TINY_CROSSING = "synthetic:crossing?frames=8&width=96&height=72"
 

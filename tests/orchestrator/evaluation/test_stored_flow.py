@@ -11,10 +11,10 @@ import pytest
 from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from orchestrator.evaluation.command import main
 from orchestrator.evaluation.sequences import SceneSequence
 from orchestrator.evaluation.stored_flow import StoredFlow, read_flow
-from orchestrator.sources.synthetic import scene
 
 SCENE = "synthetic:crossing?frames=6&width=96&height=72"
 SHAPE = (72, 96, 2)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from true_results import true_result
 
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
+from mlbs_actors.record.scene_place import ScenePlace
 from orchestrator.events.event import Event
 from orchestrator.events.happenings import Happenings
 from orchestrator.events.zones import EventRules, Zone
-from orchestrator.rows.frame_row import FrameRow, ResultRow
-from orchestrator.rows.scene_place import ScenePlace
 
 
 def row(index: int, shape: tuple[int, int] = (360, 640)) -> FrameRow:

@@ -8,13 +8,13 @@ import numpy as np
 from true_results import true_result
 
 from mlbs_actors.messages import Array
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
+from mlbs_actors.record.scene_place import ScenePlace
+from mlbs_actors.scenes.synthetic import SyntheticScene, scene
 from mlbs_actors.source import GapStatus
 from orchestrator.events.event import Event
 from orchestrator.events.happenings import Happenings
 from orchestrator.events.zones import EventRules, Minimum, Zone
-from orchestrator.rows.frame_row import FrameRow, ResultRow
-from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.sources.synthetic import SyntheticScene, scene
 
 EMPTY = np.zeros((40, 60), np.uint8)
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mlbs_actors.messages import Array, LayerSummary, Region
+from mlbs_actors.pictures.drawing import Outline
+from mlbs_actors.pictures.layer_colours import layer_colour
 from orchestrator.events.pictures import PICTURES, EventPictures, Pictured, picture_name
-from orchestrator.pictures.drawing import Outline
-from orchestrator.pictures.layer_colours import layer_colour
 
 TIME = "2026-05-04 11:15:31.7 CEST"
 

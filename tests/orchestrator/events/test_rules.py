@@ -13,13 +13,13 @@ import pytest
 from pydantic import TypeAdapter
 
 from mlbs_actors.messages import LayerSummary, Region
+from mlbs_actors.record.frame_row import FrameRow, ResultRow, run_length_code
+from mlbs_actors.record.scene_place import ScenePlace
 from orchestrator.events.event import Event
 from orchestrator.events.event_file import event_id
 from orchestrator.events.event_state import EventState
 from orchestrator.events.happenings import HOLD, Happenings
 from orchestrator.events.zones import EventRules, EventSettings, Minimum
-from orchestrator.rows.frame_row import FrameRow, ResultRow, run_length_code
-from orchestrator.rows.scene_place import ScenePlace
 
 #: What objects walk about in: 60 px wide, two zones at its sides, and a line between them.
 SHAPE = (20, 60)

@@ -14,13 +14,13 @@ from true_results import true_result
 
 from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.record.record_tables import read_rows
+from mlbs_actors.record.scene_place import ScenePlace
+from mlbs_actors.scenes.synthetic import SyntheticScene, scene
 from mlbs_actors.source import SourceFrame
 from orchestrator.events.scene import SceneTracker, resizing
 from orchestrator.events.zones import EventRules, Zone
-from orchestrator.rows.scene_place import ScenePlace
 from orchestrator.sinks.record import StreamRecord
-from orchestrator.sources.synthetic import SyntheticScene, scene
-from orchestrator.storage.record_tables import read_rows
 from orchestrator.working_size import enlarged
 
 CORNERS = np.array([[120, 150], [190, 150], [190, 239], [120, 239]], np.float64)

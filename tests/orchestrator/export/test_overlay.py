@@ -14,9 +14,9 @@ from record_fakes import HEIGHT, WIDTH, segmentation, write_run
 
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
+from mlbs_actors.record.recorded_stream import recorded_stream
 from mlbs_actors.source import SourceFrame
 from orchestrator.export.__main__ import main
-from orchestrator.export.recorded_stream import recorded_stream
 from orchestrator.export.replay import with_pictures
 from orchestrator.options import recorded
 from orchestrator.run.listed_stream import ListedStream

@@ -8,11 +8,11 @@ import cv2
 import pytest
 
 from mlbs_actors import Config, MultilayerSubtractor
+from mlbs_actors.record.recorded_stream import recorded_stream
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.source import SourceFrame
-from orchestrator.export.recorded_stream import recorded_stream
 from orchestrator.export.replay import inspected
 from orchestrator.sinks.record import StreamRecord
-from orchestrator.sources.synthetic import scene
 
 # pycocotools decodes through an __array__ method that NumPy 2 finds outdated.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

@@ -14,17 +14,17 @@ from mlbs_actors import Config, MultilayerSubtractor
 from mlbs_actors.inspection import FrameInspection, LayerInspection
 from mlbs_actors.messages import Region
 from mlbs_actors.motion_field.field import MotionParameters, motion_field
+from mlbs_actors.pictures.layer_colours import layer_colour
+from mlbs_actors.record.recorded_stream import RecordedFrame
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.source import SourceFrame
 from orchestrator.export.__main__ import main
-from orchestrator.export.recorded_stream import RecordedFrame
 from orchestrator.export.replay import InspectedFrame
 from orchestrator.options import recorded
-from orchestrator.pictures.layer_colours import layer_colour
 from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.run_folder import RunFolder, describe_run
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address
-from orchestrator.sources.synthetic import scene
 from orchestrator.working_size import FullSizeRecord, shrunk
 
 # pycocotools decodes through an __array__ method that NumPy 2 finds outdated.

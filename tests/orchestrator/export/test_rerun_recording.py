@@ -15,13 +15,13 @@ from record_fakes import HEIGHT, WIDTH, write_stream
 
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
+from mlbs_actors.pictures.layer_colours import layer_colour
+from mlbs_actors.scenes.synthetic import scene
 from orchestrator.export.__main__ import main
 from orchestrator.options import recorded
-from orchestrator.pictures.layer_colours import layer_colour
 from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.run_folder import RunFolder, describe_run
 from orchestrator.sources.address import parse_address
-from orchestrator.sources.synthetic import scene
 
 # pycocotools decodes through an __array__ method that NumPy 2 finds outdated.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

@@ -9,6 +9,7 @@ import pytest
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.record.recorded_stream import read_description
 from orchestrator.command_line import parse
 from orchestrator.events.delivery import Deliveries
 from orchestrator.events.zones import EventRules
@@ -19,7 +20,7 @@ from orchestrator.run.argument_streams import argument_streams
 from orchestrator.run.edited_files import newest_version
 from orchestrator.run.job import Job
 from orchestrator.run.listed_stream import StreamsFile
-from orchestrator.run.run_folder import RunFolder, read_description
+from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.sinks.private_record import PrivateRecord
 

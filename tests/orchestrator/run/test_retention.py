@@ -15,6 +15,8 @@ from record_fakes import write_run
 from segment_fakes import BEGAN, Camera
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.record.commits import oldest_frame, read_commits
+from mlbs_actors.record.recorded_stream import recorded_stream
 from orchestrator.command import run_command
 from orchestrator.command_line import command_again, parse
 from orchestrator.disk_use import bytes_by_kind, stream_use
@@ -27,7 +29,6 @@ from orchestrator.events.event_filter import EventFilter
 from orchestrator.events.senders import DeliveryError, Webhook
 from orchestrator.events.targets import EventTarget, parse_target
 from orchestrator.events.zones import EventRules, Zone
-from orchestrator.export.recorded_stream import recorded_stream
 from orchestrator.report.page import render_report
 from orchestrator.run.retention import Retention
 from orchestrator.run.retention_limits import Keep, parse_keep, parse_segment
@@ -35,7 +36,6 @@ from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.overlay import overlays
 from orchestrator.sinks.record import has_snapshot, recorded_frames
 from orchestrator.storage import commit_log
-from orchestrator.storage.commit_log import first_frame, read_commits
 from orchestrator.storage.segments import segment_folders
 
 TABLES = frozenset({"masks", "parquet"})
@@ -105,7 +105,7 @@ def test_after_a_deletion_a_stream_goes_on_and_everything_reads_what_is_left(
     camera = Camera(tmp_path / "gate")
     camera.send(250)
     keeping(tmp_path, "1m", now=75)  # what ended before second 15
-    assert first_frame(tmp_path / "gate") == 100
+    assert oldest_frame(tmp_path / "gate") == 100
     camera.send(290)
     again = Camera(tmp_path / "gate")
     assert again.rows == 280
@@ -248,7 +248,7 @@ def _resident_bytes() -> int:
 def test_the_disk_that_half_a_day_takes_is_bounded(tmp_path: Path) -> None:
     found = simulate(tmp_path, hours=12, rate=0.05, keep="1MB", look=60)
     assert max(found["disk"]) < 1e6
-    assert first_frame(tmp_path / "gate") > 1000
+    assert oldest_frame(tmp_path / "gate") > 1000
     assert max(found["lists"][-10:]) < 1.3 * max(found["lists"][10:20])
 
 

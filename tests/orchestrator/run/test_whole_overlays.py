@@ -14,8 +14,8 @@ from sounding_video import FRAME_RATE, write_sounding_video
 
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
+from mlbs_actors.record.recorded_stream import recorded_stream
 from mlbs_actors.source import SourceFrame
-from orchestrator.export.recorded_stream import recorded_stream
 from orchestrator.options import recorded
 from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list

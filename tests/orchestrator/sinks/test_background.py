@@ -10,10 +10,10 @@ from labelled_clip import LabelledClip
 from record_fakes import HEIGHT, WIDTH, frame, segmentation
 
 from mlbs_actors.messages import Array, LayerAppearance, Region
+from mlbs_actors.scenes.synthetic import SyntheticScene
 from orchestrator.sinks.background import background_plate
 from orchestrator.sinks.cutouts import cutouts
 from orchestrator.sinks.record import StreamRecord, ends_group
-from orchestrator.sources.synthetic import SyntheticScene
 
 
 def appearance(known: Array, colour: int = 50) -> LayerAppearance:

@@ -18,11 +18,11 @@ from pydantic import TypeAdapter
 from record_fakes import HEIGHT, WIDTH, frame, segmentation, write_stream
 
 from mlbs_actors.messages import FrameStatus, LayerSummary, Region, Segmentation
-from orchestrator.rows.frame_row import FrameRow, ResultRow
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
+from mlbs_actors.record.record_tables import read_rows
 from orchestrator.sinks.object_files import OBJECTS_CSV, OBJECTS_JSON, ObjectFiles
 from orchestrator.sinks.object_list import ListState, ObjectList
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
-from orchestrator.storage.record_tables import read_rows
 
 TABLES = frozenset({"parquet"})
 

@@ -22,13 +22,13 @@ from record_fakes import HEIGHT, WIDTH, frame, segmentation
 
 from mlbs_actors.errors import SinkError
 from mlbs_actors.messages import Array, Region, Segmentation
-from orchestrator.rows.frame_row import run_length_code
+from mlbs_actors.record.frame_row import run_length_code
+from mlbs_actors.record.record_tables import read_table
 from orchestrator.sinks.label_image import davis_palette, encode_label_image, voc_colours
 from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.overlay import OverlayVideo
 from orchestrator.sinks.record import FIRST_COMMIT, GROUP_FRAMES, StreamRecord
 from orchestrator.storage import commit_log, durable_files
-from orchestrator.storage.record_tables import read_table
 
 EVERYTHING = frozenset({"masks", "parquet", "overlay"})
 

@@ -20,12 +20,12 @@ from PIL import Image
 
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
+from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.source import FrameReader, SourceFrame
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.images import FRAME_RATE, decode_image
 from orchestrator.sources.opening import open_reader
 from orchestrator.sources.presence import require_source
-from orchestrator.sources.synthetic import scene
 
 
 def opened(uri: str | Path) -> FrameReader:

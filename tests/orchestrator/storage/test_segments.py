@@ -18,6 +18,8 @@ from record_fakes import frame, segmentation
 from segment_fakes import SAVE, Camera
 
 from mlbs_actors.errors import SinkError
+from mlbs_actors.record.commits import read_commits
+from mlbs_actors.record.record_tables import read_rows
 from orchestrator.evaluation.labelling import run_label_maps
 from orchestrator.evaluation.sequences import FolderSequence
 from orchestrator.report.history import read_history
@@ -25,8 +27,6 @@ from orchestrator.report.pictures import overlay_strip
 from orchestrator.sinks.overlay import overlays
 from orchestrator.sinks.record import StreamRecord, recorded_frames
 from orchestrator.storage import commit_log, durable_files, picture_archive
-from orchestrator.storage.commit_log import read_commits
-from orchestrator.storage.record_tables import read_rows
 from orchestrator.storage.segments import segment_folders
 
 TABLES = frozenset({"masks", "parquet"})

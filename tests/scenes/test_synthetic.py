@@ -10,8 +10,8 @@ import pytest
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array
-from orchestrator.sources.scene_scripts import SCRIPTS
-from orchestrator.sources.synthetic import SyntheticScene, scene, scene_from_uri
+from mlbs_actors.scenes.scene_scripts import SCRIPTS
+from mlbs_actors.scenes.synthetic import SyntheticScene, scene, scene_from_uri
 
 #: One scene of each kind; the tests of the others are long.
 SHORT = ("crowd", "demo", "parallax", "walker")

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from mlbs_actors.messages import Array, Region
+from mlbs_actors.pictures.drawing import draw_box, draw_caption, draw_labels, draw_outlines
+from mlbs_actors.pictures.layer_colours import COLOURS, layer_colour
 from orchestrator.events.outlines import outlines
 from orchestrator.events.zones import Zone
-from orchestrator.pictures.drawing import draw_box, draw_caption, draw_labels, draw_outlines
-from orchestrator.pictures.layer_colours import COLOURS, layer_colour
 
 
 def lab(colours: Array) -> Array:

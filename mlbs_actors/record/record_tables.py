@@ -1,4 +1,4 @@
-"""Reads the committed tables of a stream's record, and merges the parts of a closed segment."""
+"""Reads the committed tables of a stream's record."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from mlbs_actors.messages import LayerSummary, Region
-from orchestrator.rows.frame_row import FrameRow, ResultRow
-from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.storage.commit_log import Commit, read_commits
-from orchestrator.storage.durable_files import temporary_path
+from mlbs_actors.record.commits import Commit, read_commits
+from mlbs_actors.record.frame_row import FrameRow, ResultRow
+from mlbs_actors.record.scene_place import ScenePlace
 
-__all__ = ["TABLES", "merge_parts", "newest_part", "part_path", "read_rows", "read_table"]
+__all__ = ["BATCH_ROWS", "TABLES", "newest_part", "part_of", "part_path", "read_rows", "read_table"]
 
 _Table = Literal["frames", "layers"]
 TABLES: tuple[_Table, _Table] = ("layers", "frames")
 
 #: Rows in memory at once: a segment may be a day.
-_BATCH_ROWS = 4096
+BATCH_ROWS = 4096
 
 
 def part_path(folder: Path, name: _Table, first: int | None) -> Path:
@@ -34,43 +33,16 @@ def part_path(folder: Path, name: _Table, first: int | None) -> Path:
     return folder / (f"{name}.parquet" if first is None else f"{name}-{first:08d}.parquet")
 
 
-def _part_of(folder: Path, name: _Table, commit: Commit) -> Path:
+def part_of(folder: Path, name: _Table, commit: Commit) -> Path:
+    """Return the path of the part of a stream's table that has the rows of a commit."""
     place = folder if commit.segment is None else folder / commit.segment
     return part_path(place, name, None if commit.merged else commit.first)
 
 
 def newest_part(folder: Path, name: _Table) -> Path | None:
     """Return the path of the newest part of a stream's table that counts, if there is one."""
-    paths = (_part_of(folder, name, commit) for commit in reversed(read_commits(folder)))
+    paths = (part_of(folder, name, commit) for commit in reversed(read_commits(folder)))
     return next((path for path in paths if path.exists()), None)
-
-
-def merge_parts(folder: Path, commits: Sequence[Commit]) -> list[Path]:
-    """Write the tables of a segment into one part each, under temporary names; return their paths.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the stream.
-    commits : sequence of Commit
-        All of the segment.
-    """
-    merged = []
-    for name in TABLES:
-        parts = [path for commit in commits if (path := _part_of(folder, name, commit)).exists()]
-        if not parts:
-            continue
-        path = part_path(parts[0].parent, name, None)
-        with pq.ParquetWriter(temporary_path(path), pq.read_schema(parts[0])) as writer:
-            waiting: list[pa.Table] = []
-            for part in parts:
-                with pq.ParquetFile(part) as file:
-                    waiting.append(file.read(use_threads=False))
-                if part is parts[-1] or sum(table.num_rows for table in waiting) >= _BATCH_ROWS:
-                    writer.write_table(pa.concat_tables(waiting).combine_chunks())
-                    waiting = []
-        merged.append(path)
-    return merged
 
 
 def read_table(folder: Path, name: _Table, begin: int = 0) -> pa.Table:
@@ -85,7 +57,7 @@ def read_table(folder: Path, name: _Table, begin: int = 0) -> pa.Table:
         First frame.
     """
     commits = [commit for commit in read_commits(folder) if commit.last >= begin]
-    parts = [_part_of(folder, name, commit) for commit in commits]
+    parts = [part_of(folder, name, commit) for commit in commits]
     tables = []
     for path in parts:
         if path.exists():
@@ -109,7 +81,7 @@ def read_rows(folder: Path, begin: int = 0, end: float = math.inf) -> Iterator[F
     for commit in read_commits(folder):
         if commit.last < begin or commit.first >= end:
             continue
-        paths = [_part_of(folder, name, commit) for name in TABLES]
+        paths = [part_of(folder, name, commit) for name in TABLES]
         if not all(path.exists() for path in paths):
             continue
         of_layers, of_frames = (_without_times(path, begin, end) for path in paths)
@@ -130,7 +102,7 @@ def _without_times(path: Path, begin: int, end: float) -> Iterator[dict[str, Any
     with pq.ParquetFile(path) as part:
         columns = [name for name in part.schema_arrow.names if not name.startswith("ms_")]
         groups = _groups(part, begin, end)
-        for batch in part.iter_batches(_BATCH_ROWS, row_groups=groups, columns=columns):
+        for batch in part.iter_batches(BATCH_ROWS, row_groups=groups, columns=columns):
             yield from batch.to_pylist()
 
 

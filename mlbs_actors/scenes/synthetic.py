@@ -23,8 +23,8 @@ import numpy as np
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array, Region
-from orchestrator.sources.scene_scripts import SCRIPTS, build_surfaces
-from orchestrator.sources.stage import Surface
+from mlbs_actors.scenes.scene_scripts import SCRIPTS, build_surfaces
+from mlbs_actors.scenes.stage import Surface
 
 __all__ = ["LIMITS", "SCHEME", "SyntheticScene", "scene", "scene_from_uri"]
 
@@ -57,7 +57,7 @@ def scene(
     Parameters
     ----------
     name : str
-        One of ``orchestrator.sources.scene_scripts.SCRIPTS``, where each is described.
+        One of ``mlbs_actors.scenes.scene_scripts.SCRIPTS``, where each is described.
     frames : int
         Length, 1 … 100,000.
     seed : int

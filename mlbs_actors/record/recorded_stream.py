@@ -1,22 +1,25 @@
-"""A recorded stream, frame by frame: the input of every export."""
+"""A recorded stream, frame by frame: the input of every export.
+
+The tables and masks are read with packages of the extra ``read``, which are imported when they are needed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pycocotools import mask as coco_mask
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.extras import needing
 from mlbs_actors.messages import Array, LayerSummary
-from orchestrator.rows.scene_place import ScenePlace
-from orchestrator.run.run_folder import read_description
-from orchestrator.storage.record_tables import read_rows
+from mlbs_actors.record.frame_row import FrameRow
+from mlbs_actors.record.scene_place import ScenePlace
 
-__all__ = ["RecordedFrame", "description_of", "recorded_stream", "streams_of"]
+__all__ = ["RecordedFrame", "description_of", "read_description", "recorded_stream", "streams_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +63,30 @@ class RecordedFrame:
     camera: tuple[float, ...] | None = None
 
     def labels(self) -> Array:
-        """The label map, (H, W) uint16."""
+        """The label map, (H, W) uint16.
+
+        Raises
+        ------
+        MissingPackageError
+            Without the extra ``read``.
+        """
+        with needing("read"):
+            from pycocotools import mask as coco_mask
+
         labels = np.zeros((self.height, self.width), np.uint16)
         for one, counts in zip(self.objects, self.codes, strict=True):
             code = {"size": [self.height, self.width], "counts": counts.encode("ascii")}
             labels[np.asarray(coco_mask.decode(code), dtype=bool)] = one.layer
         return labels
+
+
+def read_description(run: Path) -> dict[str, Any] | None:
+    """Read the ``run.json`` of a folder; None if it holds no run, or the file cannot be read."""
+    try:
+        description: dict[str, Any] = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return description
 
 
 def description_of(run: Path) -> dict[str, Any]:
@@ -102,8 +123,20 @@ def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
     ----------
     folder : Path
         Of the stream; one that is not there has no frames.
+
+    Raises
+    ------
+    MissingPackageError
+        Without the extra ``read``.
     """
-    for row in read_rows(folder):
+    with needing("read"):
+        from mlbs_actors.record.record_tables import read_rows
+
+    return _frames_of(read_rows(folder))
+
+
+def _frames_of(rows: Iterable[FrameRow]) -> Iterator[RecordedFrame]:
+    for row in rows:
         result = row.result
         if result is None or row.name is None:
             continue

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mlbs_actors.messages import BACKGROUND, Array
-from orchestrator.sources.street import Piece, facades, road, tree
-from orchestrator.sources.textures import blob, capsule, patchwork
+from mlbs_actors.scenes.street import Piece, facades, road, tree
+from mlbs_actors.scenes.textures import blob, capsule, patchwork
 
 __all__ = ["CANVAS", "SLOPE", "Stage", "Surface"]
 

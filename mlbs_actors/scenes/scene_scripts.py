@@ -1,6 +1,6 @@
 """The synthetic scenes: contents, and motion of camera and objects. :data:`SCRIPTS` lists them.
 
-Places and lengths are in canvas units (:mod:`orchestrator.sources.stage`).
+Places and lengths are in canvas units (:mod:`mlbs_actors.scenes.stage`).
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mlbs_actors.messages import Array
-from orchestrator.sources.stage import CANVAS, SLOPE, Stage, Surface
-from orchestrator.sources.street import balloon, vehicle
+from mlbs_actors.scenes.stage import CANVAS, SLOPE, Stage, Surface
+from mlbs_actors.scenes.street import balloon, vehicle
 
 __all__ = ["SCRIPTS", "Script", "build_surfaces"]
 

@@ -1,6 +1,6 @@
 """The painted pieces of a street: facades under a sky, a road, trees, vehicles, a balloon.
 
-Lengths are in canvas units (see :mod:`orchestrator.sources.stage`); ``unit`` is px a unit. Every
+Lengths are in canvas units (see :mod:`mlbs_actors.scenes.stage`); ``unit`` is px a unit. Every
 piece has some grain, as surfaces have, so that points can be followed on it.
 """
 
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array
-from orchestrator.sources.textures import blob, grain
+from mlbs_actors.scenes.textures import blob, grain
 
 __all__ = ["balloon", "facades", "road", "tree", "vehicle"]
 

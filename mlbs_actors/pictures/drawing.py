@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import BACKGROUND, Array, Region
-from orchestrator.pictures.layer_colours import layer_colour
+from mlbs_actors.pictures.layer_colours import layer_colour
 
 __all__ = ["Outline", "draw_box", "draw_caption", "draw_labels", "draw_outlines"]
 
@@ -53,7 +53,7 @@ def draw_labels(
     image : (H, W, 3) uint8
         BGR; not changed.
     labels : (H, W) uint16
-        An id's colour is that of :mod:`orchestrator.pictures.layer_colours`.
+        An id's colour is that of :mod:`mlbs_actors.pictures.layer_colours`.
     regions : mapping of int to Region, optional
         The bounding boxes of all layers present, if known; else they are computed.
     ids : bool

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from pycocotools import mask as coco_mask
 
 from mlbs_actors.messages import Array, FrameStatus, LayerSummary, Region, Segmentation
+from mlbs_actors.record.scene_place import ScenePlace
 from mlbs_actors.source import GapStatus
-from orchestrator.rows.scene_place import ScenePlace
 
 __all__ = ["FrameRow", "ResultRow", "run_length_code"]
 
@@ -102,6 +101,8 @@ def run_length_code(labels: Array, layer: int, region: Region) -> str:
     region : Region
         Contains all the layer's pixels; only there they are searched for.
     """
+    from pycocotools import mask as coco_mask  # of an extra; what only reads rows needs none
+
     height, width = labels.shape
     # A row of zeros below each column ends its last run, which may continue at the top of the next one.
     pitch = min(region.height + 1, height)
