@@ -15,8 +15,7 @@ import numpy as np
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.clips.packet_ring import PACKETS
-from orchestrator.events.clip_names import CLIPS
-from orchestrator.events.pictures import PICTURES
+from orchestrator.events.file_names import CLIPS, PICTURES
 from orchestrator.events.scene import VIEWS
 from orchestrator.sinks.overlay import overlays
 from orchestrator.storage.commit_log import read_commits

@@ -27,11 +27,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from orchestrator.counts.count_files import CountFiles
 from orchestrator.counts.tally import CountState, Situation, Tally
-from orchestrator.events.clip_names import clip_name
 from orchestrator.events.event import Event, EventKind
 from orchestrator.events.event_state import EventState
+from orchestrator.events.file_names import clip_name, picture_name
 from orchestrator.events.happenings import Happenings
-from orchestrator.events.pictures import picture_name
 from orchestrator.events.zones import EventRules
 from orchestrator.rows.frame_row import FrameRow
 from orchestrator.storage.durable_files import publish, replace_file, temporary_path

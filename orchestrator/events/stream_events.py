@@ -7,8 +7,8 @@ from pathlib import Path
 
 from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.source import SourceFrame
-from orchestrator.events.clip_names import forget_clips_before
 from orchestrator.events.event_file import EventFile
+from orchestrator.events.file_names import forget_clips_before
 from orchestrator.events.outlines import outlines
 from orchestrator.events.pictures import EventPictures, Pictured
 from orchestrator.events.scene import VIEWS, SceneTracker

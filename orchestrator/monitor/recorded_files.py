@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
-from orchestrator.events.clip_names import CLIPS
-from orchestrator.events.pictures import PICTURES
+from orchestrator.events.file_names import CLIPS, PICTURES
 from orchestrator.sinks.still import STILL, ask_for_still
 
 __all__ = ["RecordedFile", "asked_range", "recorded_file", "still_file"]

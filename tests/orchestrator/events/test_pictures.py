@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from mlbs_actors.messages import Array, LayerSummary, Region
-from orchestrator.events.pictures import PICTURES, EventPictures, Pictured, picture_name
+from orchestrator.events.file_names import PICTURES, picture_name
+from orchestrator.events.pictures import EventPictures, Pictured
 from orchestrator.pictures.drawing import Outline
 from orchestrator.pictures.layer_colours import layer_colour
 
