@@ -25,6 +25,7 @@ from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.stream.coordinator_actor import CoordinatorActor
 from mlbs_actors.actors.stream.links import StreamLinks
 from mlbs_actors.actors.stream.live_reader import LiveReaderActor
+from mlbs_actors.actors.stream.messages import Reopen
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, StreamSpec
 from mlbs_actors.actors.stream.reader import ReaderActor
 from mlbs_actors.actors.stream.segmenter_actor import SegmenterActor
@@ -50,6 +51,9 @@ _SHORT_BURST, _LONG_BURST = 8, 24
 
 #: Short bursts of a new stream: processes are prepared for the next one between bursts.
 _SHORT_BURSTS = 6
+
+#: Numbers of the messages by which readers read from other places.
+_REOPENINGS = count(1)
 
 #: Timeout for the processes of a stopped stream to end, s.
 _STOP_SECONDS = 10.0
@@ -282,6 +286,7 @@ class StreamActors:
         self._bursts = 0
         self._kept_waiting = False
         self.living_reader: Handle | None = None
+        self._reopening: Reopen | None = None  # the newest
         self._stopped = False
         self._final: StreamProgress | None = None
 
@@ -311,7 +316,8 @@ class StreamActors:
 
     def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
         """See :meth:`RunningStream.reopen`."""
-        self._coordinator.reopen.remote(open_reader)
+        self._reopening = Reopen(open_reader, next(_REOPENINGS))
+        self._coordinator.reopen.remote(self._reopening)
 
     def configure(self, settings: object) -> None:
         """See :meth:`RunningStream.configure`."""
@@ -341,7 +347,7 @@ class StreamActors:
                 self._final = self._explained(self._coordinator.finish.remote()).result()
         end([self._coordinator, self._links.segmenter], _STOP_SECONDS)
         reader = self._links.reader
-        if self._live and returns and _answers(reader):
+        if self._live and returns and self._goes_on(reader):
             self.living_reader = reader
         else:
             # It releases its device or file if it can; it is ended in any case.
@@ -354,6 +360,14 @@ class StreamActors:
         if self._wakeup is not None:
             self._wakeup.close()
         return self._final
+
+    def _goes_on(self, reader: Handle) -> bool:
+        """Whether a reader goes on, from where it is to read: the coordinator may not have told it."""
+        with suppress(RayError, GetTimeoutError):
+            if self._reopening is not None:
+                get(reader.reopen.remote(self._reopening), _ANSWER_SECONDS)
+            return _answers(reader)
+        return False
 
     def _wait_inside_a_call(self) -> None:
         """Have the coordinator wait for its next call inside one."""

@@ -12,7 +12,7 @@ import logging
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache, partial
@@ -33,6 +33,7 @@ from mlbs_actors.actors.stream.account import StreamAccount
 from mlbs_actors.actors.stream.links import StreamLinks
 from mlbs_actors.actors.stream.live_layers import LiveLayers
 from mlbs_actors.actors.stream.live_reader import LiveReadAhead
+from mlbs_actors.actors.stream.messages import Reopen
 from mlbs_actors.actors.stream.protocol import StreamProgress, StreamSpec
 from mlbs_actors.actors.stream.reader import ReadAhead
 from mlbs_actors.actors.stream.segmenter_actor import Labelling
@@ -41,7 +42,7 @@ from mlbs_actors.actors.stream.snapshots import StreamSnapshots
 from mlbs_actors.determinism import limit_process
 from mlbs_actors.errors import ActorLostError, MlbsError, SourceError
 from mlbs_actors.messages import Array, FrameEvidence, Segmentation
-from mlbs_actors.source import FrameReader, SourceFrame, SourceSilence
+from mlbs_actors.source import SourceFrame, SourceSilence
 
 __all__ = ["CoordinatorActor"]
 
@@ -115,13 +116,13 @@ class CoordinatorActor:
         """
         return self._guarded(frames)
 
-    def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
+    def reopen(self, message: Reopen) -> None:
         """Read a live source from another place from now on."""
         assert isinstance(self._source, LiveReadAhead)
         if not self._begun:
             self._begin()
         if self._ended is None:
-            self._source.reopen(open_reader)
+            self._source.reopen(message)
 
     def wait_inside_a_call(self, handle: WakeupHandle) -> None:
         """Wait until woken: inside a call the process takes no CPU time between its bursts."""

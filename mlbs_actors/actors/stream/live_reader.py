@@ -95,6 +95,7 @@ class LiveReaderActor:
         relax_thread_timers()
         self._open_reader = open_reader
         self._reader: FrameReader | None = None
+        self._reopened: int | None = None  # number of the message by which it reads where it does
         self._ring = FrameRing()
         self._memory = SharedMemory()  # of the newest start
         self._row = 0  # the next row of that start
@@ -132,10 +133,13 @@ class LiveReaderActor:
         """Forget the first ``rows`` rows, which a snapshot covers."""
         self._ring.forget(rows)
 
-    def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
+    def reopen(self, message: Reopen) -> None:
         """Read from another place; what is between its pictures and those so far is a row ``gap``."""
+        if message.number == self._reopened:
+            return
         self.close()
-        self._open_reader, self._reader, self._lag = open_reader, None, None
+        self._reopened = message.number
+        self._open_reader, self._reader, self._lag = message.open_reader, None, None
         if self._ring.next:
             rows, pts = self._ring.next, self._pts
             self._position = SourcePosition(rows, pts, time.time())
@@ -154,7 +158,7 @@ class LiveReaderActor:
         if isinstance(message, Forget):
             self.forget(message.rows)
         elif isinstance(message, Reopen):
-            self.reopen(message.open_reader)
+            self.reopen(message)
         else:
             yield self.read(message)
 
@@ -214,9 +218,9 @@ class LiveReadAhead(ReadAhead):
             self._send(Forget(rows))
             self._forgotten = rows
 
-    def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
+    def reopen(self, message: Reopen) -> None:
         """See :meth:`LiveReaderActor.reopen`."""
-        self._send(Reopen(open_reader))
+        self._send(message)
 
     def _request(self, slot: Slot) -> ReadNext:
         return ReadNext(slot, self._fresh)

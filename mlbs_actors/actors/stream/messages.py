@@ -80,9 +80,13 @@ class Forget:
 
 @dataclass(frozen=True, slots=True)
 class Reopen:
-    """Has a live reader read from another place: what ``open_reader`` opens."""
+    """Has a live reader read from another place: what ``open_reader`` opens.
+
+    It may come twice, with the same number.
+    """
 
     open_reader: Callable[[], FrameReader]
+    number: int
 
 
 #: Answer of a reader to a request for its next row: a picture's reference, a row without one, or the end.

@@ -125,9 +125,13 @@ def test_a_camera_that_is_elsewhere_now_goes_on_after_a_gap_with_consecutive_row
     reader = reader_of(before)
     reader.go_on(SourcePosition())
     given = [asked(reader, fresh=True) for _ in range(2)]
-    assert list(reader._answers(Reopen(lambda: there))) == []
+    elsewhere = Reopen(lambda: there, 7)
+    assert list(reader._answers(elsewhere)) == []
     assert before.closed
-    given += [asked(reader, fresh=True) for _ in range(4)]
+    given += [asked(reader, fresh=True) for _ in range(2)]
+    reader.reopen(elsewhere)  # as it is not known whether the coordinator died before it told that
+    assert not there.closed
+    given += [asked(reader, fresh=True) for _ in range(2)]
     frames = [frame for frame in given if isinstance(frame, SourceFrame)]
     assert [frame.index for frame in frames] == list(range(6))
     assert [frame.status for frame in frames] == ["ok", "ok", "gap", "ok", "ok", "ok"]
@@ -389,6 +393,31 @@ def test_a_live_stream_that_loses_its_reader_goes_on_after_a_gap_with_all_it_was
     assert state.returns == 1
     expect_whole(state, parts, tmp_path, shown=44, gaps=1)
     assert statuses(tmp_path)[at] == "gap"
+
+
+@pytest.mark.usefixtures("host")
+def test_an_address_that_a_dying_coordinator_did_not_pass_on_is_read_from_all_the_same(
+    parts: FakeParts, tmp_path: Path
+) -> None:
+    here, there = (
+        OnceOnly(tmp_path / name, shots(20), gate=gate) for name, gate in (("here", 12), ("there", 99))
+    )
+    there.folder.mkdir()
+    spec = live_spec(here, tmp_path)
+    with started(parts) as node:
+        stream = node.start(spec)
+        while stream.advance().result().read < 12:
+            pass
+        end([stream._coordinator])
+        stream.reopen(there.opened)
+        stream.stop(drain=False, returns=True)
+        assert stream.living_reader is not None
+        again = node.start(replace(spec, open_reader=there.opened), stream)
+        while not again.advance().result().done:
+            pass
+        again.stop(drain=True)
+    told = statuses(tmp_path)
+    assert (told.index("gap"), told.count("gap"), len(told)) == (12, 1, 12 + 1 + 20)
 
 
 @pytest.mark.usefixtures("host")
