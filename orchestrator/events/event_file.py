@@ -17,8 +17,9 @@ import json
 import math
 import os
 from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,7 @@ class _Mark:
     counts: CountState = field(default_factory=CountState)
 
 
+_STATE = TypeAdapter(EventState)
 _MARK = TypeAdapter(_Mark)
 _MARKS_READ = TypeAdapter(list[_Mark])
 
@@ -81,13 +83,12 @@ class _Step:
 
     Attributes
     ----------
-    mark : bytes
-        Where the events continue after it: a :class:`_Mark` as JSON, but for its counts.
-    rows : int
-        Of that.
-    said : list of Event
-    dropped_share : float
-        Of the frames before these.
+    mark : _Mark
+        Where the events continue after it, without counts, and of its state without what is in ``followed``.
+    followed : bytes
+        The state as JSON, as of the last step that changed more than numbers in it; steps share it, as a
+        camera can have thousands of rows between two commits.
+    said : sequence of Event
     row : FrameRow, optional
     clock : float, optional
         When it was taken, seconds since 1970.
@@ -95,13 +96,20 @@ class _Step:
         After it.
     """
 
-    mark: bytes
-    rows: int
-    said: list[Event]
-    dropped_share: float
-    row: FrameRow | None
-    clock: float | None
-    situation: Situation | None
+    mark: _Mark
+    followed: bytes
+    said: Sequence[Event] = ()
+    row: FrameRow | None = None
+    clock: float | None = None
+    situation: Situation | None = None
+
+    def whole_mark(self, rows: int, counts: CountState) -> bytes:
+        """Return the mark after so many rows as JSON, with these counts."""
+        known = _STATE.validate_json(self.followed)
+        state = replace(
+            self.mark.state, shown=known.shown, objects=known.objects, rules=known.rules, faults=known.faults
+        )
+        return _MARK.dump_json(replace(self.mark, rows=rows, state=state, counts=counts))
 
 
 class EventFile:
@@ -134,6 +142,8 @@ class EventFile:
         self._happenings = Happenings(rules, mark.state)
         self._digest = rules.digest
         self._tally = Tally(mark.counts)  # of the steps that count
+        self._followed = _STATE.dump_json(mark.state)
+        self._settled = _Step(self._mark(), self._followed)  # the last of them
         self._steps: deque[_Step] = deque()  # the others
         self._unwritten: list[str] = []
         if found and mark.rows and mark.rules != self._digest:
@@ -160,7 +170,8 @@ class EventFile:
 
     def silent(self) -> None:
         """Add that the source sends nothing after the rows so far."""
-        self._take(self._happenings.silent())
+        if said := self._happenings.silent():
+            self._take(said)
 
     def configure(self, rules: EventRules) -> None:
         """Follow other rules after the rows so far."""
@@ -182,15 +193,34 @@ class EventFile:
             file.writelines(self._unwritten)
         self._unwritten = []
 
-    def drafts(self, rows: int) -> list[Path]:
-        """Sync the events of the first ``rows`` rows; return the files to publish before their commit."""
-        return self._settle(rows)
+    def drafts(self, rows: int, *, at_end: bool = False) -> list[Path]:
+        """Let the events of the first ``rows`` rows count; return the files to publish before their commit.
+
+        Parameters
+        ----------
+        rows : int
+        at_end : bool
+            Whether all is committed, and what comes with the stream's end counts, too.
+        """
+        while self._steps and (at_end or self._steps[0].mark.rows <= rows):
+            self._settled = step = self._steps.popleft()
+            if step.row is not None:
+                self._tally.add(step.row, step.clock, step.situation)
+            for event in step.said:
+                self._tally.count(event.kind, event.zone, event.direction, step.mark.state.dropped_share)
+        counted = self._count_files.drafts(self._tally, at_once=at_end)
+        before, self._kept = self._kept, self._settled.whole_mark(rows, self._tally.state)
+        marks = [self._kept] if at_end else [before, self._kept]
+        with self._path.open("ab") as file:
+            os.fsync(file.fileno())
+        temporary_path(self._marks_path).write_bytes(b"[" + b",\n".join(marks) + b"]\n")
+        return [*counted, self._marks_path]
 
     def finish(self, rows: int) -> None:
         """Write what is certain as the stream has come to its end after so many rows."""
         self._take(self._happenings.end())
         self.write()
-        publish(self._settle(rows, at_end=True))
+        publish(self.drafts(rows, at_end=True))
 
     def show_counts(self) -> None:
         """Write the counts as they were with the last commit."""
@@ -209,7 +239,7 @@ class EventFile:
 
     def _take(
         self,
-        said: list[Event],
+        said: Sequence[Event],
         row: FrameRow | None = None,
         clock: float | None = None,
         situation: Situation | None = None,
@@ -222,12 +252,17 @@ class EventFile:
             if row is not None and event.kind in _PICTURED and event.layer in pictured:
                 picture = picture_name(row.frame, event.layer)
             self._unwritten.append(json.dumps(self._described(event, picture)) + "\n")
-        mark = _Mark(self.state.rows, self._events, self._began, self.state, self._digest)
-        step = _Step(_MARK.dump_json(mark), mark.rows, said, self.state.dropped_share, row, clock, situation)
-        self._steps.append(step)
+        if row is None or row.result is not None:
+            self._followed = _STATE.dump_json(self.state)
+        self._steps.append(_Step(self._mark(), self._followed, said, row, clock, situation))
         return pictured
 
-    def _pictured(self, said: list[Event], row: FrameRow) -> dict[int, set[str]]:
+    def _mark(self) -> _Mark:
+        """Return where the events continue now, without what they follow and have come to."""
+        state = replace(self.state, shown=None, objects={}, rules={}, faults=[])
+        return _Mark(state.rows, self._events, self._began, state, self._digest)
+
+    def _pictured(self, said: Sequence[Event], row: FrameRow) -> dict[int, set[str]]:
         pictured: dict[int, set[str]] = {}
         if row.result is None or not self._happenings.rules.zones:
             return pictured
@@ -236,26 +271,6 @@ class EventFile:
             if event.kind in _PICTURED and event.layer is not None and event.layer in here:
                 pictured.setdefault(event.layer, set()).update(filter(None, [event.zone]))
         return pictured
-
-    def _settle(self, rows: int, *, at_end: bool = False) -> list[Path]:
-        """Let the steps up to so many rows count; return the files to publish before their commit."""
-        before = self._kept
-        while self._steps and (at_end or self._steps[0].rows <= rows):
-            step = self._steps.popleft()
-            if step.row is not None:
-                self._tally.add(step.row, step.clock, step.situation)
-            for event in step.said:
-                self._tally.count(event.kind, event.zone, event.direction, step.dropped_share)
-            self._kept = step.mark
-        counted = self._count_files.drafts(self._tally, at_once=at_end)
-        mark = _MARK.validate_json(self._kept)
-        mark.rows, mark.counts = rows, self._tally.state
-        self._kept = _MARK.dump_json(mark)
-        marks = [self._kept] if at_end else [before, self._kept]  # the end is behind all commits
-        with self._path.open("ab") as file:
-            os.fsync(file.fileno())
-        temporary_path(self._marks_path).write_bytes(b"[" + b",\n".join(marks) + b"]\n")
-        return [*counted, self._marks_path]
 
     def _described(self, event: Event, picture: str | None) -> dict[str, Any]:
         """Return the newest event as its line has it."""

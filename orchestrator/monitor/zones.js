@@ -30,6 +30,7 @@ function isMovable(zone) {
 function remember() {
   write(fault, "");
   past.push(JSON.stringify(zones));
+  isTyping = false;
 }
 
 function undo() {
@@ -252,7 +253,6 @@ function showList() {
   const shape = JSON.stringify(zones.map((zone) => [zone.was, zone.kind, isMovable(zone)]));
   if (list.dataset.shape !== shape) { // the rows stay while somebody types in one
     list.replaceChildren(...zones.map((_, place) => row(place)));
-    isTyping = false;
     list.dataset.shape = shape;
   }
   zones.forEach((zone, place) => {
@@ -301,7 +301,7 @@ function take(answer) {
   known = answer;
   zones = answer.zones.map((zone) => ({ ...zone, was: zone.name, moved: false }));
   saved = JSON.stringify(asSent());
-  [draft, chosen, past] = [null, null, []];
+  [draft, chosen, past, isTyping] = [null, null, [], false];
   write(document.querySelector("h1"), `Zones of ${answer.stream}`);
   document.title = `Zones of ${answer.stream}`;
   image.alt = `Picture of ${answer.stream}`;
