@@ -13,6 +13,7 @@ from orchestrator.log import Log
 from orchestrator.options import Arguments
 from orchestrator.ray_session import ray_settings, starting_ray
 from orchestrator.run.argument_streams import argument_streams
+from orchestrator.run.file_watch import stamp_of
 from orchestrator.run.listed_stream import StreamsFile
 from orchestrator.run.resumption import earlier_streams, is_known
 from orchestrator.run.run_folder import RunFolder
@@ -50,6 +51,10 @@ def run_command(argv: Sequence[str]) -> int:
         names = [stream.name for stream in listed.streams]
         streams = (*listed.streams, *argument_streams(arguments.sources, names))
         listed = replace(listed, streams=streams)
+        for fault in arguments.ignore.faults:
+            if before is None:
+                raise ConfigError(fault)
+            log.say(f"{fault} Until it can be read at a start, nothing is ignored there.", "error")
         unknown = sorted(arguments.ignore.streams - {stream.name for stream in streams})
         if unknown and not arguments.watch:
             raise ConfigError(f"--ignore names the stream {unknown[0]!r}, which is not one of this run.")
@@ -100,8 +105,9 @@ def _listed(arguments: Arguments, before: RunFolder | None, log: Log) -> Streams
     """Read the list; of a run that goes on with what was in force where it cannot be used."""
     if arguments.streams is None:
         return StreamsFile((), {})
+    stamp = stamp_of(arguments.streams)
     if before is None:
-        return read_stream_list(arguments.streams)
+        return replace(read_stream_list(arguments.streams), stamp=stamp)
     earlier = earlier_streams(before, arguments.streams)
     try:
         parsed = parse_stream_list(arguments.streams, earlier)
@@ -113,7 +119,8 @@ def _listed(arguments: Arguments, before: RunFolder | None, log: Log) -> Streams
     hidden = [stream.name for stream in parsed.streams if not is_known(stream.source)]
     if hidden:
         log.say(f"Without the list the addresses of {', '.join(hidden)} are not known; they wait.", "error")
-    return replace(parsed, streams=tuple(one for one in parsed.streams if one.name not in hidden))
+    usable = tuple(one for one in parsed.streams if one.name not in hidden)
+    return replace(parsed, streams=usable, stamp=stamp)
 
 
 def _parameters(arguments: Arguments, before: RunFolder | None, log: Log) -> Config:

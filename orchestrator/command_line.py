@@ -17,6 +17,7 @@ from orchestrator.options import DEFAULT_OUTPUT, Arguments, options
 from orchestrator.program import command_line_of
 from orchestrator.run.argument_streams import DEMO, argument_address, default_output
 from orchestrator.run.edited_files import newest_version
+from orchestrator.run.file_watch import stamp_of
 from orchestrator.run.retention_limits import segment_with
 
 __all__ = ["command_again", "parse"]
@@ -106,10 +107,11 @@ def _zones(path: Path | None, resumed: Path | None) -> ZonesFile:
             return ZonesFile()
         words = f"The zones of before hold on ({before}); for others, give --zones."
         return replace(read_zones(before), fault=words)
+    stamp = stamp_of(path)
     try:
-        return read_zones(path)
+        return replace(read_zones(path), stamp=stamp)
     except ConfigError as error:
         if before is None:
             raise
         words = f"{str(error).rstrip('.')}. The zones of before hold on ({before})."
-        return replace(read_zones(before), path=path.absolute(), fault=words)
+        return replace(read_zones(before), path=path.absolute(), fault=words, stamp=stamp)

@@ -17,8 +17,7 @@ from mlbs_actors.errors import ConfigError
 from mlbs_actors.record.commits import read_commits
 from mlbs_actors.record.record_tables import read_table
 from orchestrator.clips.packet_ring import PACKETS
-from orchestrator.events.clip_names import CLIPS
-from orchestrator.events.pictures import PICTURES
+from orchestrator.events.file_names import CLIPS, PICTURES
 from orchestrator.events.scene import VIEWS
 from orchestrator.sinks.overlay import overlays
 from orchestrator.storage.snapshot_folder import SNAPSHOTS

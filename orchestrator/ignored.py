@@ -31,11 +31,14 @@ class IgnoredFile:
         What is fixed in the picture; of any size.
     digest : str
         SHA-256 of the file.
+    fault : str, optional
+        Why it cannot be used, a sentence; then nothing is fixed.
     """
 
     path: Path
     mask: Array
     digest: str
+    fault: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +63,11 @@ class Ignored:
         return None if file is None else file.mask
 
     @property
+    def faults(self) -> list[str]:
+        """What is wrong with files that cannot be used, sentences."""
+        return [file.fault for file in self.files.values() if file.fault is not None]
+
+    @property
     def streams(self) -> set[str]:
         """The streams that have a file of their own."""
         return {name for name in self.files if name is not None}
@@ -74,7 +82,7 @@ class Ignored:
 
 
 def read_ignored(words: Sequence[str]) -> Ignored:
-    """Read what the command line names.
+    """Read what the command line names; what cannot be used is in :attr:`Ignored.faults`.
 
     Parameters
     ----------
@@ -84,7 +92,7 @@ def read_ignored(words: Sequence[str]) -> Ignored:
     Raises
     ------
     ConfigError
-        If a file cannot be read, or a stream has two.
+        If a stream has two.
     """
     files: dict[str | None, IgnoredFile] = {}
     for word in words:
@@ -92,7 +100,10 @@ def read_ignored(words: Sequence[str]) -> Ignored:
         if name in files:
             whose = "all streams" if name is None else f"the stream {name!r}"
             raise ConfigError(f"--ignore names two files for {whose}; draw both into one mask.")
-        files[name] = _read(path)
+        try:
+            files[name] = _read(path)
+        except ConfigError as error:
+            files[name] = IgnoredFile(path.absolute(), np.zeros((1, 1), np.bool_), "", str(error))
     return Ignored(files)
 
 

@@ -11,11 +11,12 @@ from typing import Any
 
 import yaml
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import MASK, mask
 
-__all__ = ["YamlFile", "faults_of", "line_of", "masked_yaml", "read_yaml"]
+__all__ = ["YamlFile", "faults_of", "line_of", "masked_yaml", "read_yaml", "words_of"]
 
 #: Largest file that is read.
 MAX_BYTES = 8 * 2**20
@@ -32,6 +33,7 @@ class YamlFile:
     Attributes
     ----------
     text : str
+        With the ends of its lines as they are.
     tree : yaml.Node, optional
         What it says, with lines; None if it is empty.
     content
@@ -60,7 +62,7 @@ def read_yaml(path: Path, flag: str) -> YamlFile:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise ConfigError(f"{flag}: {path} is larger than {MAX_BYTES // 2**20} MiB; split it.")
-        text = path.read_text(encoding="utf-8")
+        text = path.read_bytes().decode()
         tree = yaml.compose(text, yaml.SafeLoader)
         if tree is not None:
             _refuse_twice(path, flag, tree, set())
@@ -129,12 +131,15 @@ def faults_of(
     """Return what is wrong by the number of the line, of a part at a place of the file."""
     faults = {}
     for one in invalid.errors():
-        words = one["msg"].removeprefix("Value error, ")
-        if words.startswith("Extra inputs"):
-            words = "there is no such key"
         where = ".".join(str(step) for step in one["loc"])
-        faults[line_of(tree, [*place, *one["loc"]])] = f"{where + ': ' if where else ''}{words}"
+        faults[line_of(tree, [*place, *one["loc"]])] = f"{where + ': ' if where else ''}{words_of(one)}"
     return faults
+
+
+def words_of(fault: ErrorDetails) -> str:
+    """Return what is wrong with a value, as it may stand behind its name."""
+    words = fault["msg"].removeprefix("Value error, ")
+    return "there is no such key" if words.startswith("Extra inputs") else words
 
 
 def _refuse_twice(path: Path, flag: str, node: yaml.Node, seen: set[int]) -> None:

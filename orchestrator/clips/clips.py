@@ -23,8 +23,8 @@ from orchestrator.clips.packet_ring import PACKETS
 from orchestrator.clips.settings import ClipSettings
 from orchestrator.clips.shelf import ClipShelf
 from orchestrator.clips.wanted import Cut, WantedClip, next_cut, wanted_clip
-from orchestrator.events.clip_names import CLIPS
 from orchestrator.events.event_file import EVENTS
+from orchestrator.events.file_names import CLIPS
 from orchestrator.storage.durable_files import remove_temporary
 
 __all__ = ["Clips"]

@@ -8,8 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from orchestrator.events.clip_names import CLIPS
-from orchestrator.events.frame_names import in_order
+from orchestrator.events.file_names import CLIPS, in_order
 from orchestrator.storage.durable_files import remove_temporary
 
 __all__ = ["ClipShelf"]

@@ -1,11 +1,14 @@
 """``events.jsonl`` of a stream: the events of its record, a JSON object a line.
 
 A line is appended as soon as it is certain, so that it can be sent at once, and counts with the commit of the
-row that made it certain. ``.events`` holds what the events continue from after the last two commits, and how
-many there were then: a record that is opened again cuts the file off behind those, and goes on, by other
-rules if they have changed. That is worked out from the rows when they are committed, for nobody knows before
-which of a camera's rows will be the last of a commit. Events are numbered, because the oldest lines can be
-deleted.
+row that made it certain. After a kill the record goes on from its last commit, by other rules if they have
+changed, and the lines behind it are cut off. So with each commit it must be known what the events continue
+from after its last row, and how many there were: a *mark*, in ``.events``. There are those of the last two
+commits, as a mark is published before its commit, which may never come. Which of a camera's rows will be the
+last of a commit is known only when it is due; so the mark of every row waits in memory until then.
+
+Whoever sends the lines needs three things: numbers that ascend (the oldest lines can be deleted), ids that an
+event keeps if it comes again, and how many lines are final (:func:`committed_events`).
 """
 
 from __future__ import annotations
@@ -14,8 +17,9 @@ import json
 import math
 import os
 from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -24,13 +28,11 @@ from pydantic import TypeAdapter, ValidationError
 
 from mlbs_actors.record.frame_row import FrameRow
 from orchestrator.counts.count_files import CountFiles
-from orchestrator.counts.tally import CountState, Tally
-from orchestrator.events.clip_names import clip_name
+from orchestrator.counts.tally import CountState, Situation, Tally
 from orchestrator.events.event import Event, EventKind
 from orchestrator.events.event_state import EventState
+from orchestrator.events.file_names import clip_name, picture_name
 from orchestrator.events.happenings import Happenings
-from orchestrator.events.pictures import picture_name
-from orchestrator.events.situation import situation_after
 from orchestrator.events.zones import EventRules
 from orchestrator.storage.durable_files import publish, replace_file, temporary_path
 
@@ -70,8 +72,44 @@ class _Mark:
     counts: CountState = field(default_factory=CountState)
 
 
+_STATE = TypeAdapter(EventState)
 _MARK = TypeAdapter(_Mark)
 _MARKS_READ = TypeAdapter(list[_Mark])
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What counts with a commit: a row, or what came between two of them, such as other rules.
+
+    Attributes
+    ----------
+    mark : _Mark
+        Where the events continue after it, without counts, and of its state without what is in ``followed``.
+    followed : bytes
+        The state as JSON, as of the last step that changed more than numbers in it; steps share it, as a
+        camera can have thousands of rows between two commits.
+    said : sequence of Event
+    row : FrameRow, optional
+    clock : float, optional
+        When it was taken, seconds since 1970.
+    situation : Situation, optional
+        After it.
+    """
+
+    mark: _Mark
+    followed: bytes
+    said: Sequence[Event] = ()
+    row: FrameRow | None = None
+    clock: float | None = None
+    situation: Situation | None = None
+
+    def whole_mark(self, rows: int, counts: CountState) -> bytes:
+        """Return the mark after so many rows as JSON, with these counts."""
+        known = _STATE.validate_json(self.followed)
+        state = replace(
+            self.mark.state, shown=known.shown, objects=known.objects, rules=known.rules, faults=known.faults
+        )
+        return _MARK.dump_json(replace(self.mark, rows=rows, state=state, counts=counts))
 
 
 class EventFile:
@@ -91,6 +129,7 @@ class EventFile:
     def __init__(self, folder: Path, stream: str, rules: EventRules, rows: int) -> None:
         self._path = folder / EVENTS
         self._marks_path = folder / _MARKS
+        self._stream = stream
         found = [mark for mark in _read_marks(self._marks_path) if mark.rows == rows]
         # Without a mark, of an earlier version's record, what is there stays and the objects are born again.
         self._count_files = CountFiles(folder, stream)
@@ -99,24 +138,21 @@ class EventFile:
             mark.counts.closed_bytes = self._count_files.length
         _cut(self._path, mark.events)
         self._kept = _MARK.dump_json(mark)
-        # Rows that are not committed go through twice: as they come, and with their commit.
-        self._newest = _EventLines(stream, rules, mark)
-        self._tally = Tally(mark.counts)
-        self._committed = _EventLines(stream, rules, _MARK.validate_json(self._kept), self._tally)
-        self._later: deque[_Step] = deque()
+        self._events, self._began = mark.events, mark.began
+        self._happenings = Happenings(rules, mark.state)
+        self._digest = rules.digest
+        self._tally = Tally(mark.counts)  # of the steps that count
+        self._followed = _STATE.dump_json(mark.state)
+        self._settled = _Step(self._mark(), self._followed)  # the last of them
+        self._steps: deque[_Step] = deque()  # the others
         self._unwritten: list[str] = []
-        if found and mark.rows and mark.rules != rules.digest:
+        if found and mark.rows and mark.rules != self._digest:
             self.configure(rules)
 
     @property
     def state(self) -> EventState:
         """What the next events depend on."""
-        return self._newest.state
-
-    @property
-    def unwritten(self) -> bool:
-        """Whether there are lines to write."""
-        return bool(self._unwritten)
+        return self._happenings.state
 
     def add(self, row: FrameRow, taken: float | None) -> dict[int, set[str]]:
         """Add the next row of the record; return the objects whose pictures the lines name, with their zones.
@@ -127,19 +163,29 @@ class EventFile:
         taken : float, optional
             When a camera took it, seconds since 1970.
         """
-        return self._take(_Step(row, None if taken is None else taken - row.pts))
+        if taken is not None:
+            self._began = taken - row.pts
+        clock = self.taken_at(row.pts)
+        return self._take(self._happenings.after(row, clock), row, clock, self._happenings.situation(row))
 
     def silent(self) -> None:
         """Add that the source sends nothing after the rows so far."""
-        self._take(_Step(None, None))
+        if said := self._happenings.silent():
+            self._take(said)
 
     def configure(self, rules: EventRules) -> None:
         """Follow other rules after the rows so far."""
-        self._take(_Step(None, None, rules))
+        self._digest = rules.digest
+        self._take(self._happenings.configured(rules))
 
     def taken_at(self, pts: float) -> float | None:
         """Return when a camera took the frame of a time of the stream, seconds since 1970, if known."""
-        return self._newest.taken_at(pts)
+        return None if self._began is None else self._began + pts
+
+    @property
+    def unwritten(self) -> bool:
+        """Whether there are lines to write."""
+        return bool(self._unwritten)
 
     def write(self) -> None:
         """Append the lines; OSError as the disk says."""
@@ -147,29 +193,34 @@ class EventFile:
             file.writelines(self._unwritten)
         self._unwritten = []
 
-    def drafts(self, rows: int) -> list[Path]:
-        """Sync the events of the first ``rows`` rows; return the files to publish before their commit."""
-        while self._later and (self._later[0].row is None or self._later[0].row.frame < rows):
-            self._committed.after(self._later.popleft())
-        counted = self._count_files.drafts(self._tally)
-        mark = self._committed.mark(rows)
-        self._sync()
-        temporary_path(self._marks_path).write_bytes(b"[" + self._kept + b",\n" + mark + b"]\n")
-        self._kept = mark
+    def drafts(self, rows: int, *, at_end: bool = False) -> list[Path]:
+        """Let the events of the first ``rows`` rows count; return the files to publish before their commit.
+
+        Parameters
+        ----------
+        rows : int
+        at_end : bool
+            Whether all is committed, and what comes with the stream's end counts, too.
+        """
+        while self._steps and (at_end or self._steps[0].mark.rows <= rows):
+            self._settled = step = self._steps.popleft()
+            if step.row is not None:
+                self._tally.add(step.row, step.clock, step.situation)
+            for event in step.said:
+                self._tally.count(event.kind, event.zone, event.direction, step.mark.state.dropped_share)
+        counted = self._count_files.drafts(self._tally, at_once=at_end)
+        before, self._kept = self._kept, self._settled.whole_mark(rows, self._tally.state)
+        marks = [self._kept] if at_end else [before, self._kept]
+        with self._path.open("ab") as file:
+            os.fsync(file.fileno())
+        temporary_path(self._marks_path).write_bytes(b"[" + b",\n".join(marks) + b"]\n")
         return [*counted, self._marks_path]
 
     def finish(self, rows: int) -> None:
         """Write what is certain as the stream has come to its end after so many rows."""
-        while self._later:
-            self._committed.after(self._later.popleft())
-        self._committed.at_end()
-        self._unwritten += self._newest.at_end()
+        self._take(self._happenings.end())
         self.write()
-        counted = self._count_files.drafts(self._tally, at_once=True)
-        self._sync()
-        self._kept = self._committed.mark(rows)
-        temporary_path(self._marks_path).write_bytes(b"[" + self._kept + b"]\n")
-        publish([*counted, self._marks_path])
+        publish(self.drafts(rows, at_end=True))
 
     def show_counts(self) -> None:
         """Write the counts as they were with the last commit."""
@@ -186,96 +237,43 @@ class EventFile:
                 rest = b""
         replace_file(self._path, rest)
 
-    def _take(self, step: _Step) -> dict[int, set[str]]:
-        lines = self._newest.after(step)
-        self._unwritten += lines
-        self._later.append(step)
-        return self._newest.pictured
+    def _take(
+        self,
+        said: Sequence[Event],
+        row: FrameRow | None = None,
+        clock: float | None = None,
+        situation: Situation | None = None,
+    ) -> dict[int, set[str]]:
+        """Make lines of what is certain, which counts later; return the objects whose pictures they name."""
+        pictured = {} if row is None else self._pictured(said, row)
+        for event in said:
+            self._events += 1
+            picture = None
+            if row is not None and event.kind in _PICTURED and event.layer in pictured:
+                picture = picture_name(row.frame, event.layer)
+            self._unwritten.append(json.dumps(self._described(event, picture)) + "\n")
+        if row is None or row.result is not None:
+            self._followed = _STATE.dump_json(self.state)
+        self._steps.append(_Step(self._mark(), self._followed, said, row, clock, situation))
+        return pictured
 
-    def _sync(self) -> None:
-        with self._path.open("ab") as file:
-            os.fsync(file.fileno())
+    def _mark(self) -> _Mark:
+        """Return where the events continue now, without what they follow and have come to."""
+        state = replace(self.state, shown=None, objects={}, rules={}, faults=[])
+        return _Mark(state.rows, self._events, self._began, state, self._digest)
 
-
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """What comes next.
-
-    Attributes
-    ----------
-    row : FrameRow, optional
-        None for other rules, or else a silence.
-    began : float, optional
-        When the stream began by that row, seconds since 1970.
-    rules : EventRules, optional
-        Other ones, from here on.
-    """
-
-    row: FrameRow | None
-    began: float | None
-    rules: EventRules | None = None
-
-
-class _EventLines:
-    """Makes lines of rows, from a mark on, and counts them if there is a tally."""
-
-    def __init__(self, stream: str, rules: EventRules, mark: _Mark, tally: Tally | None = None) -> None:
-        self._stream = stream
-        self._tally = tally
-        self._happenings = Happenings(rules, mark.state)
-        self.pictured: dict[int, set[str]] = {}  # objects that the newest lines name pictures of, their zones
-        self._events, self._began = mark.events, mark.began
-
-    @property
-    def state(self) -> EventState:
-        return self._happenings.state
-
-    def taken_at(self, pts: float) -> float | None:
-        return None if self._began is None else self._began + pts
-
-    def after(self, step: _Step) -> list[str]:
-        if step.began is not None:
-            self._began = step.began
-        if step.rules is not None:
-            events = self._happenings.configured(step.rules)
-        elif step.row is None:
-            events = self._happenings.silent()
-        else:
-            events = self._happenings.after(step.row, self.taken_at(step.row.pts))
-            if self._tally is not None:
-                situation = situation_after(step.row, self._happenings)
-                self._tally.add(step.row, self.taken_at(step.row.pts), situation)
-        return self._lines(events, step.row)
-
-    def at_end(self) -> list[str]:
-        return self._lines(self._happenings.end(), None)
-
-    def mark(self, rows: int) -> bytes:
-        state, rules = self._happenings.state, self._happenings.rules
-        counts = CountState() if self._tally is None else self._tally.state
-        return _MARK.dump_json(_Mark(rows, self._events, self._began, state, rules.digest, counts))
-
-    def _lines(self, events: list[Event], row: FrameRow | None) -> list[str]:
-        if self._tally is not None:
-            share = self._happenings.state.dropped_share
-            for event in events:
-                self._tally.count(event.kind, event.zone, event.direction, share)
-        here = set()
-        if row is not None and row.result is not None and self._happenings.rules.zones:
-            here = {layer.layer for layer in row.result.layers}
-        self.pictured = {}
-        for event in events:
+    def _pictured(self, said: Sequence[Event], row: FrameRow) -> dict[int, set[str]]:
+        pictured: dict[int, set[str]] = {}
+        if row.result is None or not self._happenings.rules.zones:
+            return pictured
+        here = {layer.layer for layer in row.result.layers}
+        for event in said:
             if event.kind in _PICTURED and event.layer is not None and event.layer in here:
-                self.pictured.setdefault(event.layer, set()).update(filter(None, [event.zone]))
-        first = self._events + 1
-        self._events += len(events)
-        described = (self._described(event, row, number) for number, event in enumerate(events, first))
-        return [json.dumps(one) + "\n" for one in described]
+                pictured.setdefault(event.layer, set()).update(filter(None, [event.zone]))
+        return pictured
 
-    def _described(self, event: Event, row: FrameRow | None, number: int) -> dict[str, Any]:
-        picture = None
-        if row is not None and event.kind in _PICTURED and event.layer in self.pictured:
-            picture = picture_name(row.frame, event.layer)
+    def _described(self, event: Event, picture: str | None) -> dict[str, Any]:
+        """Return the newest event as its line has it."""
         identity = event_id(self._stream, event)
         return {
             "id": identity,
@@ -298,7 +296,7 @@ class _EventLines:
             "replaced_by": event.replaced_by,
             "picture": picture,
             "clip": clip_name(event.frame, identity) if event.kind in self._happenings.rules.clips else None,
-            "number": number,
+            "number": self._events,
         }
 
 

@@ -9,15 +9,17 @@ stays where it is.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 
 from mlbs_actors.messages import LayerSummary
 from mlbs_actors.record.frame_row import FrameRow, ResultRow
+from orchestrator.counts.tally import Situation
 from orchestrator.events.event import Event
 from orchestrator.events.event_state import Approach, EventState, Followed, Presence
 from orchestrator.events.faults import faults
-from orchestrator.events.ground import crossing, is_inside, on_ground
+from orchestrator.events.ground import crossing, foot_of, is_inside, on_ground
 from orchestrator.events.rule_machine import rule_events
 from orchestrator.events.zones import EventRules, Zone
 from orchestrator.rows.endings import SEEN, ending
@@ -90,6 +92,20 @@ class Happenings:
         said += rule_events(self.rules, state, said, row, row.result, clock)
         state.shown, state.pts = replace(row.result, stage_ms={}), row.pts
         return said
+
+    def situation(self, row: FrameRow) -> Situation | None:
+        """Return who is where after the newest row, for the counts; None if that has no label map.
+
+        Who has not reached the minimum is nowhere, and so is who is hidden: whether they have left the
+        picture for good is only known much later.
+        """
+        if row.result is None:
+            return None
+        there = [one for one in self.state.objects.values() if one.counts and one.missing < HOLD]
+        inside = Counter(zone for one in there for zone, presence in one.zones.items() if presence.inside)
+        feet = [foot_of(one.seen.region) for one in there if one.missing == 0]
+        places = {zone.name: zone.kind for zone in self.rules.zones}
+        return Situation(places, len(there), inside, feet, row.result.shape)
 
     def silent(self) -> list[Event]:
         """Return that the source is away, as the gap that follows will say, too; nothing if that is known."""

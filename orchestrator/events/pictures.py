@@ -17,13 +17,10 @@ import numpy as np
 
 from mlbs_actors.messages import Array, LayerSummary, Region
 from mlbs_actors.pictures.drawing import Outline, draw_box, draw_caption, draw_outlines
-from orchestrator.events.frame_names import frame_of, in_order
+from orchestrator.events.file_names import PICTURES, frame_of, in_order, picture_name
 from orchestrator.storage.durable_files import remove_temporary, temporary_path
 
-__all__ = ["PICTURES", "EventPictures", "Pictured", "picture_name"]
-
-#: Folder of the pictures, in the stream's.
-PICTURES = "events"
+__all__ = ["EventPictures", "Pictured"]
 
 #: Newest pictures that are kept.
 _MOST_PICTURES = 1000
@@ -36,11 +33,6 @@ _LEAST_ASPECT = 0.75
 
 _LONGER_SIDE = 480  # px
 _JPEG_QUALITY = 80
-
-
-def picture_name(frame: int, layer: int) -> str:
-    """Return the path, in the stream's folder, of an object in the frame that made its events certain."""
-    return f"{PICTURES}/{frame:08d}-{layer}.jpg"
 
 
 @dataclass(frozen=True, slots=True)

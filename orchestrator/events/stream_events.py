@@ -9,8 +9,8 @@ from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.record.frame_row import FrameRow, ResultRow
 from mlbs_actors.record.scene_place import ScenePlace
 from mlbs_actors.source import SourceFrame
-from orchestrator.events.clip_names import forget_clips_before
 from orchestrator.events.event_file import EventFile
+from orchestrator.events.file_names import forget_clips_before
 from orchestrator.events.outlines import outlines
 from orchestrator.events.pictures import EventPictures, Pictured
 from orchestrator.events.scene import VIEWS, SceneTracker
@@ -35,6 +35,11 @@ class StreamEvents:
         Rows of the record that count.
     drawing : Drawing
         What its pictures show.
+
+    Attributes
+    ----------
+    file : EventFile
+        The lines.
     """
 
     def __init__(
@@ -42,7 +47,7 @@ class StreamEvents:
     ) -> None:
         self._folder = folder
         self._drawing = drawing
-        self._file = EventFile(folder, stream, rules, rows)
+        self.file = EventFile(folder, stream, rules, rows)
         self._pictures: EventPictures | None = None
         self._views = folder / VIEWS
         self._new_views: list[tuple[int, Path]] = []  # not committed yet, with their frames
@@ -51,7 +56,7 @@ class StreamEvents:
 
     def configure(self, rules: EventRules, rows: int) -> None:
         """Follow other rules after the rows so far, of which ``rows`` count; OSError as the disk says."""
-        self._file.configure(rules)
+        self.file.configure(rules)
         self._prepare(rules, rows)
 
     def _prepare(self, rules: EventRules, rows: int) -> None:
@@ -61,14 +66,9 @@ class StreamEvents:
         if self._scene is None and rules.of_scene:
             self._views.mkdir(exist_ok=True)
             remove_temporary(self._views)
-            state = self._file.state
+            state = self.file.state
             place = None if state.shown is None else state.shown.scene
             self._scene = SceneTracker(self._views, rows, place, state.pts)
-
-    @property
-    def unwritten(self) -> bool:
-        """Whether there are lines to write."""
-        return self._file.unwritten
 
     def place(self, segmentation: Segmentation, frame: SourceFrame) -> ScenePlace | None:
         """Follow the scene into the next frame; return where it is there, None if unknown or not needed."""
@@ -91,9 +91,9 @@ class StreamEvents:
         taken : float, optional
             When a camera took it, seconds since 1970.
         """
-        pictured = self._file.add(row, taken)
+        pictured = self.file.add(row, taken)
         if pictured and self._pictures is not None and row.result is not None and image is not None:
-            time = self._drawing.time(row.pts, self.taken_at(row.pts))
+            time = self._drawing.time(row.pts, self.file.taken_at(row.pts))
             self._pictures.write(image, row.frame, time, self._pictured(row.result, pictured))
 
     def _pictured(self, result: ResultRow, zones_of: Mapping[int, Collection[str]]) -> list[Pictured]:
@@ -110,22 +110,10 @@ class StreamEvents:
             if layer.layer in zones_of
         ]
 
-    def silent(self) -> None:
-        """Add that the source sends nothing after the rows so far."""
-        self._file.silent()
-
-    def taken_at(self, pts: float) -> float | None:
-        """Return when a camera took the frame of a time of the stream, seconds since 1970, if known."""
-        return self._file.taken_at(pts)
-
-    def write(self) -> None:
-        """Append the lines; OSError as the disk says."""
-        self._file.write()
-
     def drafts(self, rows: int, *, provisional: bool) -> list[Path]:
         """Return the files to publish before so many rows are committed, provisionally or for good."""
         views = [path for frame, path in self._new_views if frame < rows]
-        return views if provisional else [*views, *self._file.drafts(rows)]
+        return views if provisional else [*views, *self.file.drafts(rows)]
 
     def committed(self, rows: int) -> None:
         """Note that so many rows count now."""
@@ -133,18 +121,10 @@ class StreamEvents:
 
     def forget_before(self, frame: int) -> None:
         """Delete the oldest lines, pictures and clips, as far as they are of frames before a number."""
-        self._file.forget_before(frame)
+        self.file.forget_before(frame)
         forget_clips_before(self._folder, frame)
         if self._pictures is not None:
             self._pictures.forget_before(frame)
-
-    def finish(self, rows: int) -> None:
-        """Write what is certain as the stream has come to its end after so many rows."""
-        self._file.finish(rows)
-
-    def show_counts(self) -> None:
-        """Write the counts as they were with the last commit."""
-        self._file.show_counts()
 
     def discard(self) -> None:
         """Delete what was written of rows that are not committed."""

@@ -189,12 +189,15 @@ class ZonesFile:
         For :meth:`rules_of`.
     fault : str, optional
         Why the rest is of an earlier version, a sentence.
+    stamp : tuple of int, optional
+        Of the file as it was read, if that is known: see :func:`orchestrator.run.file_watch.stamp_of`.
     """
 
     path: Path | None = None
     text: str | None = None
     content: _Content = field(default_factory=_Content)
     fault: str | None = None
+    stamp: tuple[int, ...] | None = None
 
     @property
     def digest(self) -> str | None:

@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import track
 
 from mlbs_actors.config import Config
+from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import BACKGROUND, Array, LayerSummary
 from mlbs_actors.record.recorded_stream import (
     RecordedFrame,
@@ -72,6 +73,8 @@ def write_rerun(run: Path, out: Path, *, internals: bool = False) -> list[str]:
 def _add_internals(recording: rerun.RecordingStream, run: Path, sources: Mapping[str, str]) -> list[str]:
     asked = description_of(run)
     ignored = read_ignored(list(asked["ignore"] or ()))
+    for fault in ignored.faults:
+        raise ConfigError(fault)
     layers: dict[str, tuple[int, ...]] = {}
     remarks: list[str] = []
     for name, source in sources.items():

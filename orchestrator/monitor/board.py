@@ -9,14 +9,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from orchestrator.counts.stream_counts import CountReader, StreamCounts, recent_hours
 from orchestrator.events.delivery import Backlog
 from orchestrator.events.recent import RecentEvents
-from orchestrator.monitor.recorded_files import RecordedFile, recorded_file, still_file
+from orchestrator.monitor.recorded_files import RecordedFile, recorded_file
 from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.sinks.live_picture import live_picture_path, watch
-from orchestrator.sinks.still import STILL
+from orchestrator.sinks.still import STILL, ask_for_still
 
 __all__ = ["Board"]
 
@@ -117,12 +118,26 @@ class Board:
 
     def picture_of(self, name: str) -> bytes | None:
         """Return the newest picture (JPEG) of a stream; None if there is none."""
-        return _content(live_picture_path(self._pictures, name))
+        try:
+            return live_picture_path(self._pictures, name).read_bytes()
+        except OSError:
+            return None
+
+    def stream_in(self, path: str, begin: str, end: str) -> str | None:
+        """Return the stream whose name is between these in the path of a request; None if there is none."""
+        name = unquote(path).removeprefix(begin).removesuffix(end)
+        known = any(state.name == name for state in self.states)
+        return name if known and unquote(path) == f"{begin}{name}{end}" else None
 
     def recorded(self, path: str) -> RecordedFile | None:
-        """Return the file of a stream's record that the path of a request names; None if it names none."""
-        streams = frozenset(state.name for state in self.states)
-        return recorded_file(self._folder, streams, path) or still_file(self._folder, streams, path)
+        """Return the file of a stream's record that the path of a request names; None if it names none.
+
+        A still that is asked for is soon a newer one.
+        """
+        if (name := self.stream_in(path, "/stills/", ".jpg")) is not None:
+            ask_for_still(self._folder / name)
+            return RecordedFile(self.still_of(name), "image/jpeg")
+        return recorded_file(self._folder, frozenset(state.name for state in self.states), path)
 
     def counts(self) -> dict[str, StreamCounts]:
         """Return what was counted, by stream, of those that have counts."""
@@ -152,10 +167,3 @@ class Board:
             return str(live_picture_path(self._pictures, name).stat().st_mtime_ns)
         except OSError:
             return None
-
-
-def _content(path: Path) -> bytes | None:
-    try:
-        return path.read_bytes()
-    except OSError:
-        return None

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Generic, Literal, TypeVar
 
 from orchestrator.counts.stream_counts import StreamCounts
 from orchestrator.events.delivery import Backlog
@@ -28,9 +28,13 @@ __all__ = [
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 
+_Of = TypeVar("_Of")
+_Value = TypeVar("_Value")
+
+
 @dataclass(frozen=True, slots=True)
-class Metric:
-    """A metric of every stream, with the label ``stream``.
+class Metric(Generic[_Of, _Value]):
+    """A metric of every stream, with the label ``stream``, or of every target of events, with ``target``.
 
     Attributes
     ----------
@@ -39,16 +43,24 @@ class Metric:
     meaning : str
         A sentence.
     value : callable
-        Takes a stream's state.
+        Takes a stream's state, a target's backlog or a stream's counts. Of the first two it returns the
+        value; of the last it yields the values of ``labels``, and a number.
+    labels : tuple of str
+        The others that it has.
     """
 
     name: str
     kind: Literal["counter", "gauge"]
     meaning: str
-    value: Callable[[StreamState], float]
+    value: Callable[[_Of], _Value]
+    labels: tuple[str, ...] = ()
 
 
-METRICS = (
+StreamMetric = Metric[StreamState, float]
+TargetMetric = Metric[Backlog, float]
+CountMetric = Metric[StreamCounts, Iterator[tuple[tuple[str, ...], int]]]
+
+METRICS: tuple[StreamMetric, ...] = (
     Metric("mlbs_stream_read_frames_total", "counter", "Frames taken from the source.", lambda s: s.read),
     Metric(
         "mlbs_stream_committed_frames_total",
@@ -104,72 +116,42 @@ METRICS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class TargetMetric:
-    """A gauge of every target of events, with the label ``target``; as :class:`Metric`."""
-
-    name: str
-    meaning: str
-    value: Callable[[Backlog], float]
-
-
-TARGET_METRICS = (
-    TargetMetric("mlbs_events_waiting", "Events that a target has not acknowledged.", lambda b: b.waiting),
-    TargetMetric(
-        "mlbs_events_away_seconds", "For how long a target has accepted nothing.", lambda b: b.away_seconds
+TARGET_METRICS: tuple[TargetMetric, ...] = (
+    Metric("mlbs_events_waiting", "gauge", "Events that a target has not acknowledged.", lambda b: b.waiting),
+    Metric(
+        "mlbs_events_away_seconds",
+        "gauge",
+        "For how long a target has accepted nothing.",
+        lambda b: b.away_seconds,
     ),
-    TargetMetric("mlbs_events_refused", "Events that a target has refused.", lambda b: b.refused),
+    Metric("mlbs_events_refused", "gauge", "Events that a target has refused.", lambda b: b.refused),
 )
 
-
-@dataclass(frozen=True, slots=True)
-class CountMetric:
-    """A metric of what is counted in every stream, as :class:`Metric`.
-
-    Attributes
-    ----------
-    name : str
-    kind : {"counter", "gauge"}
-    meaning : str
-        A sentence.
-    labels : tuple of str
-        Besides ``stream``.
-    values : callable
-        Takes a stream's counts; yields the values of those labels, and a number.
-    """
-
-    name: str
-    kind: Literal["counter", "gauge"]
-    meaning: str
-    labels: tuple[str, ...]
-    values: Callable[[StreamCounts], Iterator[tuple[tuple[str, ...], int]]]
-
-
-COUNT_METRICS = (
-    CountMetric(
+COUNT_METRICS: tuple[CountMetric, ...] = (
+    Metric(
         "mlbs_zone_objects",
         "gauge",
         "Objects in a zone, as of the last commit.",
-        ("zone",),
         lambda counts: (((zone,), number) for zone, number in counts.zones.items()),
+        ("zone",),
     ),
-    CountMetric(
+    Metric(
         "mlbs_line_crossings_total",
         "counter",
         "Crossings of a line.",
-        ("line", "direction"),
         lambda counts: (
             ((line, direction), number)
             for line, directions in counts.crossings.items()
             for direction, number in directions.items()
         ),
+        ("line", "direction"),
     ),
-    CountMetric(
+    Metric(
         "mlbs_events_total",
         "counter",
         "Events of the record.",
-        ("kind",),
         lambda counts: (((kind,), number) for kind, number in counts.events.items()),
+        ("kind",),
     ),
 )
 
@@ -188,7 +170,7 @@ class Reached:
     def __init__(self) -> None:
         self._values: dict[tuple[str, str], float] = {}
 
-    def advance(self, counter: Metric, state: StreamState) -> tuple[float | None, float]:
+    def advance(self, counter: StreamMetric, state: StreamState) -> tuple[float | None, float]:
         """Return the value before, None the first time, and now."""
         place = counter.name, state.name
         before = self._values.get(place)
@@ -210,42 +192,38 @@ class MetricsText:
         counts: Mapping[str, StreamCounts] | None = None,
     ) -> str:
         """Return the text of these states, backlogs, and counts by stream."""
-        lines = []
+        lines: list[str] = []
         for one in METRICS:
-            lines += [f"# HELP {one.name} {one.meaning}", f"# TYPE {one.name} {one.kind}"]
-            lines += [
-                f'{one.name}{{stream="{_escaped(state.name)}"}} {self._value(one, state)!r}'
-                for state in states
-            ]
-        lines += [f"# HELP {STATE} {STATE_MEANING}", f"# TYPE {STATE} gauge"]
-        lines += [f'{STATE}{{stream="{_escaped(state.name)}",state="{state.state}"}} 1' for state in states]
+            samples = [({"stream": state.name}, self._value(one, state)) for state in states]
+            lines += _lines(one.name, one.kind, one.meaning, samples)
+        now = [({"stream": state.name, "state": state.state}, 1) for state in states]
+        lines += _lines(STATE, "gauge", STATE_MEANING, now)
         for gauge in TARGET_METRICS if backlogs else ():
-            lines += [f"# HELP {gauge.name} {gauge.meaning}", f"# TYPE {gauge.name} gauge"]
-            lines += [
-                f'{gauge.name}{{target="{_escaped(one.target)}"}} {float(gauge.value(one))!r}'
-                for one in backlogs
-            ]
+            of_targets = [({"target": one.target}, float(gauge.value(one))) for one in backlogs]
+            lines += _lines(gauge.name, gauge.kind, gauge.meaning, of_targets)
         for of_counts in COUNT_METRICS if counts else ():
-            lines += [
-                f"# HELP {of_counts.name} {of_counts.meaning}",
-                f"# TYPE {of_counts.name} {of_counts.kind}",
-                *_samples(of_counts, counts or {}),
+            counted = [
+                ({"stream": stream, **dict(zip(of_counts.labels, values, strict=True))}, number)
+                for stream, all_of_it in (counts or {}).items()
+                for values, number in of_counts.value(all_of_it)
             ]
+            lines += _lines(of_counts.name, of_counts.kind, of_counts.meaning, counted)
         return "\n".join(lines) + "\n"
 
-    def _value(self, one: Metric, state: StreamState) -> float:
+    def _value(self, one: StreamMetric, state: StreamState) -> float:
         if one.kind == "gauge":
             return float(one.value(state))
         with self._lock:
             return float(self._reached.advance(one, state)[1])
 
 
-def _samples(one: CountMetric, counts: Mapping[str, StreamCounts]) -> Iterator[str]:
-    for stream, counted in counts.items():
-        for values, number in one.values(counted):
-            pairs = zip(("stream", *one.labels), (stream, *values), strict=True)
-            labels = ",".join(f'{name}="{_escaped(value)}"' for name, value in pairs)
-            yield f"{one.name}{{{labels}}} {number}"
+def _lines(
+    name: str, kind: str, meaning: str, samples: Iterable[tuple[Mapping[str, str], float]]
+) -> Iterator[str]:
+    yield from (f"# HELP {name} {meaning}", f"# TYPE {name} {kind}")
+    for labels, value in samples:
+        words = ",".join(f'{label}="{_escaped(text)}"' for label, text in labels.items())
+        yield f"{name}{{{words}}} {value!r}"
 
 
 def _escaped(text: str) -> str:

@@ -91,7 +91,7 @@ class RayMetrics:
             now = {
                 (stream, *values): number
                 for stream, counted in counts.items()
-                for values, number in one.values(counted)
+                for values, number in one.value(counted)
             }
             before, self._counted[one] = self._counted[one], now
             names = ("stream", *one.labels)

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
-from orchestrator.events.clip_names import CLIPS
-from orchestrator.events.pictures import PICTURES
-from orchestrator.sinks.still import STILL, ask_for_still
+from orchestrator.events.file_names import CLIPS, PICTURES
 
-__all__ = ["RecordedFile", "asked_range", "recorded_file", "still_file"]
+__all__ = ["RecordedFile", "asked_range", "recorded_file"]
 
 _KINDS = {
     PICTURES: (re.compile(r"\d{8,}-\d+\.jpg", re.ASCII), "image/jpeg"),
@@ -54,15 +52,6 @@ def recorded_file(run: Path, streams: frozenset[str], path: str) -> RecordedFile
     if name not in streams or folder not in _KINDS or not _KINDS[folder][0].fullmatch(file):
         return None
     return RecordedFile(run / name / folder / file, _KINDS[folder][1])
-
-
-def still_file(run: Path, streams: frozenset[str], path: str) -> RecordedFile | None:
-    """Return what ``/stills/NAME.jpg`` names, and ask for a newer one; None for anything else."""
-    name = unquote(path).removeprefix("/stills/").removesuffix(".jpg")
-    if unquote(path) != f"/stills/{name}.jpg" or name not in streams:
-        return None
-    ask_for_still(run / name)
-    return RecordedFile(run / name / STILL, "image/jpeg")
 
 
 def asked_range(header: str | None, size: int) -> range | None:

@@ -17,7 +17,7 @@ from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from urllib.parse import parse_qs, unquote, urlsplit
+from urllib.parse import parse_qs, urlsplit
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
@@ -32,8 +32,6 @@ __all__ = ["serving"]
 
 _LEAST_TOKEN = 16  # characters
 _COOKIE = "mlbs-monitor"
-_MOTION_JPEG = ".mjpg"
-_COUNTS = "/counts.json"
 _CHUNK = 1 << 16  # bytes
 _FOLDER = Path(__file__).parent
 _FILES = {
@@ -124,7 +122,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer with a file of the page, the status, or a picture."""
-        url = urlsplit(self.path)
+        url, board = urlsplit(self.path), self.server.board
         if url.path in _HEALTH:  # they tell nothing that needs a token
             self._answer_on_health(_HEALTH[url.path])
             return
@@ -141,22 +139,17 @@ class _Handler(BaseHTTPRequestHandler):
             name, kind = _FILES[url.path]
             self._answer(HTTPStatus.OK, (_FOLDER / name).read_bytes(), kind)
         elif url.path == "/status.json":
-            self._answer(HTTPStatus.OK, json.dumps(self.server.board.status()).encode(), "application/json")
+            self._answer(HTTPStatus.OK, json.dumps(board.status()).encode(), "application/json")
         elif url.path == "/metrics":
-            board = self.server.board
             text = self.server.metrics_text(board.states, board.backlogs(), board.counts())
             self._answer(HTTPStatus.OK, text.encode(), CONTENT_TYPE)
-        elif url.path.endswith(_MOTION_JPEG) and (stream := self._stream(url.path)) is not None:
+        elif (stream := board.stream_in(url.path, "/streams/", ".mjpg")) is not None:
             self._send_on(stream)
         elif (zones := self.server.zones.get(url.path)) is not None:
             self._answer(zones.status, zones.content, zones.kind)
-        elif (
-            url.path.endswith(_COUNTS)
-            and (stream := self._stream(url.path.removesuffix(_COUNTS))) is not None
-        ):
-            counts = self.server.board.counts_of(stream)
-            self._answer(HTTPStatus.OK, json.dumps(counts).encode(), "application/json")
-        elif (recorded := self.server.board.recorded(url.path)) is not None:
+        elif (stream := board.stream_in(url.path, "/streams/", "/counts.json")) is not None:
+            self._answer(HTTPStatus.OK, json.dumps(board.counts_of(stream)).encode(), "application/json")
+        elif (recorded := board.recorded(url.path)) is not None:
             self._send_file(recorded)
         elif (picture := self._picture(url.path)) is not None:
             self._answer(HTTPStatus.OK, picture, "image/jpeg")
@@ -196,19 +189,9 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *arguments: object) -> None:
         """Do nothing: the terminal belongs to the progress, and a line could contain the token."""
 
-    def _stream(self, path: str) -> str | None:
-        """Return the stream that a path below /streams names."""
-        name = unquote(path).removeprefix("/streams/").removesuffix(_MOTION_JPEG)
-        known = any(state.name == name for state in self.server.board.states)
-        return name if known and path.startswith("/streams/") else None
-
     def _send_on(self, name: str) -> None:
         """Send pictures of a stream until it ends, or the viewer leaves, or the run ends."""
-        self.send_response(HTTPStatus.OK)
-        own = {"Content-Type": f"multipart/x-mixed-replace; boundary={BOUNDARY}"}
-        for key, value in (_HEADERS | own).items():
-            self.send_header(key, value)
-        self.end_headers()
+        self._begin(HTTPStatus.OK, {"Content-Type": f"multipart/x-mixed-replace; boundary={BOUNDARY}"})
         try:
             for part in motion_jpeg(self.server.board, name):
                 self.wfile.write(part)
@@ -233,13 +216,10 @@ class _Handler(BaseHTTPRequestHandler):
                 self._answer(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, b"", "text/plain", headers)
                 return
             part = range(size) if asked is None else asked
-            self.send_response(HTTPStatus.OK if asked is None else HTTPStatus.PARTIAL_CONTENT)
             own = {"Content-Type": recorded.kind, "Content-Length": str(len(part)), "Accept-Ranges": "bytes"}
             if asked is not None:
                 own["Content-Range"] = f"bytes {part.start}-{part.stop - 1}/{size}"
-            for name, value in (_HEADERS | own).items():
-                self.send_header(name, value)
-            self.end_headers()
+            self._begin(HTTPStatus.OK if asked is None else HTTPStatus.PARTIAL_CONTENT, own)
             file.seek(part.start)
             try:
                 for left in range(len(part), 0, -_CHUNK):
@@ -276,15 +256,17 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(
         self, status: HTTPStatus, content: bytes, kind: str, headers: dict[str, str] | None = None
     ) -> None:
-        self.send_response(status)
-        own = {"Content-Type": kind, "Content-Length": str(len(content))}
-        for name, value in (_HEADERS | own | (headers or {})).items():
-            self.send_header(name, value)
-        self.end_headers()
+        self._begin(status, {"Content-Type": kind, "Content-Length": str(len(content))} | (headers or {}))
         try:
             self.wfile.write(content)
         except ConnectionError:
             self.close_connection = True  # the client is gone
+
+    def _begin(self, status: HTTPStatus, headers: dict[str, str]) -> None:
+        self.send_response(status)
+        for name, value in (_HEADERS | headers).items():
+            self.send_header(name, value)
+        self.end_headers()
 
 
 def _token_of(query: str) -> str:

@@ -19,7 +19,7 @@ let chosen = null; // place of the zone whose corners can be moved
 let draft = null; // what is being drawn: kind, points, aim
 let dragged = null; // a corner that follows the pointer: points, place
 let past = []; // the zones before each change
-let isRebuilt = false; // the list, just now
+let isTyping = false; // so that a name is one change
 
 // What is there, and what is wrong with it
 
@@ -30,6 +30,7 @@ function isMovable(zone) {
 function remember() {
   write(fault, "");
   past.push(JSON.stringify(zones));
+  isTyping = false;
 }
 
 function undo() {
@@ -39,7 +40,7 @@ function undo() {
     else draft = null;
   } else if (past.length) {
     zones = JSON.parse(past.pop());
-    chosen = null;
+    [chosen, isTyping] = [null, false];
   }
   show();
 }
@@ -123,22 +124,19 @@ function turn(place) {
 
 function grips(zone) {
   const points = zone.polygon;
-  const between = points.slice(zone.kind === "line" ? 1 : 0).map((point, place) => {
-    const before = zone.kind === "line" ? place : (place + points.length - 1) % points.length;
-    const [x, y] = inPixels(middle([points[before], point]));
-    const grip = made("circle", { cx: x, cy: y, r: 5, class: "between grip" });
+  const between = points.slice(0, zone.kind === "line" ? -1 : undefined).map((point, place) => {
+    const grip = dot(middle([point, points[(place + 1) % points.length]]), 5, "between grip");
     grip.addEventListener("pointerdown", (event) => {
       remember();
-      points.splice(before + 1, 0, at(event));
-      drag(event, zone, before + 1);
+      points.splice(place + 1, 0, at(event));
+      drag(event, zone, place + 1);
     });
     return grip;
   });
   const corners = points.map((point, place) => {
-    const [x, y] = inPixels(point);
     const words = `Point ${place + 1} of ${zone.name}: ${point.map((share) => `${(100 * share).toFixed(1)} %`).join(", ")}`;
     const corner = made("g", { tabindex: 0, role: "button", "aria-label": `${words}; arrow keys move it, Delete removes it` });
-    corner.append(made("circle", { cx: x, cy: y, r: 16, class: "grip" }), made("circle", { cx: x, cy: y, r: 6, class: "corner" }));
+    corner.append(dot(point, 16, "grip"), dot(point, 6, "corner"));
     corner.addEventListener("pointerdown", (event) => {
       remember();
       drag(event, zone, place);
@@ -176,14 +174,27 @@ function changeByKey(event, zone, place) {
   canvas.querySelectorAll(".chosen g")[Math.min(place, zone.polygon.length - 1)].focus();
 }
 
+function outline(kind, points, style) {
+  const isLine = kind === "line";
+  return made(isLine ? "polyline" : "polygon", { points: points.join(" "), class: isLine ? `${style} of-line` : style });
+}
+
+function dot(point, r, style) {
+  const [cx, cy] = inPixels(point);
+  return made("circle", { cx, cy, r, class: style });
+}
+
 function drawn(zone, place) {
   const group = made("g", { class: `${place === chosen ? "chosen" : ""} ${zone.fixed_to === "scene" ? "of-scene" : ""}` });
   if (!zone.polygon) return group;
   const pixels = zone.polygon.map(inPixels);
   const isLine = zone.kind === "line";
-  const shape = isLine ? "polyline" : "polygon";
-  group.append(made(shape, { points: pixels.join(" "), class: isLine ? "shape of-line" : "shape", ...(isLine ? { "marker-end": "url(#head)" } : {}) }));
-  if (isLine) group.append(made(shape, { points: pixels.join(" "), class: "wide" }), ...sides(pixels, size()));
+  const shape = outline(zone.kind, pixels, "shape");
+  group.append(shape);
+  if (isLine) {
+    shape.setAttribute("marker-end", "url(#head)");
+    group.append(outline(zone.kind, pixels, "wide"), ...sides(pixels, size()));
+  }
   group.append(label(isLine ? [pixels[0][0], pixels[0][1] - 14] : middle(pixels), zone.name, size()));
   group.addEventListener("pointerdown", (event) => {
     if (draft) return; // a zone may be drawn over another one
@@ -196,13 +207,8 @@ function drawn(zone, place) {
 
 function drawDraft() {
   const points = [...draft.points, ...(draft.aim ? [draft.aim] : [])].map(inPixels);
-  const isLine = draft.kind === "line";
-  const parts = [made(isLine ? "polyline" : "polygon", { points: points.join(" "), class: isLine ? "draft of-line" : "draft" })];
-  if (isLine && points.length > 1) parts.push(...sides(points, size()));
-  for (const point of draft.points) {
-    const [x, y] = inPixels(point);
-    parts.push(made("circle", { cx: x, cy: y, r: 5, class: "corner" }));
-  }
+  const parts = [outline(draft.kind, points, "draft"), ...draft.points.map((point) => dot(point, 5, "corner"))];
+  if (draft.kind === "line" && points.length > 1) parts.push(...sides(points, size()));
   if (draft.aim) {
     const [x, y] = inPixels(draft.aim);
     parts.push(made("path", { d: `M${x - 9},${y}H${x + 9}M${x},${y - 9}V${y + 9}`, class: "aim" }));
@@ -222,53 +228,31 @@ function choose(place) {
   show();
 }
 
-function button(words, does) {
-  const element = document.createElement("button");
-  element.type = "button";
-  element.textContent = words;
-  element.addEventListener("click", does);
-  return element;
-}
-
 function row(place) {
   const zone = zones[place];
-  const element = document.createElement("li");
-  const kind = document.createElement("span");
-  const name = document.createElement("input");
-  kind.className = "kind";
+  const element = part("row").content.firstElementChild.cloneNode(true);
+  const [kind, name, remover, turner] = [".kind", "input", ".delete", ".turn"].map((one) => element.querySelector(one));
   kind.textContent = zone.kind;
   name.value = zone.name;
-  name.maxLength = 100;
-  name.disabled = !known.may_write;
-  let before = null; // the zones before somebody typed here
-  name.addEventListener("focus", () => {
-    before = JSON.stringify(zones);
-    choose(place);
-  });
+  name.disabled = remover.hidden = !known.may_write;
+  turner.hidden = zone.kind !== "line" || !isMovable(zone);
+  name.addEventListener("focus", () => choose(place));
   name.addEventListener("input", () => {
+    if (!isTyping) remember();
+    isTyping = true;
     zones[place].name = name.value.trim();
     show();
   });
-  name.addEventListener("change", () => {
-    if (isRebuilt || !name.isConnected) return; // a row that goes tells of a change, too
-    past.push(before);
-    before = JSON.stringify(zones);
-    showTools();
-  });
-  element.append(kind, name);
-  if (known.may_write) element.append(button("Delete", () => remove(place)));
-  if (zone.kind === "line" && isMovable(zone)) element.append(button("Swap left and right", () => turn(place)));
-  element.append(document.createElement("p"), document.createElement("p"));
-  element.lastElementChild.className = "fault";
+  name.addEventListener("blur", () => { isTyping = false; });
+  remover.addEventListener("click", () => remove(place));
+  turner.addEventListener("click", () => turn(place));
   return element;
 }
 
 function showList() {
   const shape = JSON.stringify(zones.map((zone) => [zone.was, zone.kind, isMovable(zone)]));
   if (list.dataset.shape !== shape) { // the rows stay while somebody types in one
-    isRebuilt = true;
     list.replaceChildren(...zones.map((_, place) => row(place)));
-    isRebuilt = false;
     list.dataset.shape = shape;
   }
   zones.forEach((zone, place) => {
@@ -278,9 +262,8 @@ function showList() {
     if (name.value.trim() !== zone.name) name.value = zone.name;
     name.setAttribute("aria-label", `Name of ${zone.kind} ${place + 1}`);
     for (const one of element.querySelectorAll("button")) one.setAttribute("aria-label", `${one.textContent} of ${zone.name}`);
-    const [remarks, wrong] = element.querySelectorAll("p");
-    write(remarks, remarksOn(zone));
-    write(wrong, faultOf(zone, zones));
+    write(element.querySelector(".remarks"), remarksOn(zone));
+    write(element.querySelector(".fault"), faultOf(zone, zones));
   });
 }
 
@@ -318,7 +301,7 @@ function take(answer) {
   known = answer;
   zones = answer.zones.map((zone) => ({ ...zone, was: zone.name, moved: false }));
   saved = JSON.stringify(asSent());
-  [draft, chosen, past] = [null, null, []];
+  [draft, chosen, past, isTyping] = [null, null, [], false];
   write(document.querySelector("h1"), `Zones of ${answer.stream}`);
   document.title = `Zones of ${answer.stream}`;
   image.alt = `Picture of ${answer.stream}`;
@@ -352,23 +335,19 @@ async function save() {
 }
 
 // The best picture that there is: a still without anything drawn on it, else the newest one of the live page.
-function loadPicture(again = 0) {
-  const attempt = (left) => {
-    if (!left.length) {
-      write(help, "There is no picture of this stream yet.");
-      setTimeout(loadPicture, 2000);
-      return;
-    }
+async function loadPicture(again = 0) {
+  for (const path of known.pictures) {
     const next = new Image();
-    next.addEventListener("error", () => attempt(left.slice(1)));
-    next.addEventListener("load", () => {
-      image.src = next.src;
-      stage.style.setProperty("--aspect", String(next.naturalWidth / next.naturalHeight));
-      if (again) setTimeout(loadPicture, 2500, again - 1); // asking for a still makes a newer one
-    });
-    next.src = `../${left[0]}?${Date.now()}`;
-  };
-  attempt(known.pictures);
+    next.src = `../${path}?${Date.now()}`;
+    const isThere = await next.decode().then(() => true, () => false);
+    if (!isThere) continue;
+    image.src = next.src;
+    stage.style.setProperty("--aspect", String(next.naturalWidth / next.naturalHeight));
+    if (again) setTimeout(loadPicture, 2500, again - 1); // asking for a still makes a newer one
+    return;
+  }
+  write(help, "There is no picture of this stream yet.");
+  setTimeout(loadPicture, 2000);
 }
 
 stage.addEventListener("pointerdown", (event) => {

@@ -8,7 +8,7 @@ from email.message import Message
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated
-from urllib.parse import quote, unquote, urlsplit
+from urllib.parse import quote, urlsplit
 
 from PIL import Image
 from pydantic import Field, ValidationError
@@ -19,6 +19,7 @@ from orchestrator.events.zones import Zone
 from orchestrator.monitor.address import TOKEN_VARIABLE
 from orchestrator.monitor.board import Board
 from orchestrator.run.edit_zones import DrawnZone, ZoneEditor
+from orchestrator.yaml_file import words_of
 
 __all__ = ["MOST_BYTES", "ZONES_FILES", "ZonesAnswer", "ZonesPage"]
 
@@ -84,12 +85,10 @@ class ZonesPage:
 
     def get(self, path: str) -> ZonesAnswer | None:
         """Return the page of a stream, or its zones; None if the path names neither."""
-        if not path.startswith("/zones/"):
-            return None
-        if (name := self._stream(path, ".json")) is not None:
+        if (name := self._board.stream_in(path, "/zones/", ".json")) is not None:
             content = json.dumps(self._zones(name)).encode()
             return ZonesAnswer(HTTPStatus.OK, content, "application/json")
-        if self._stream(path) is not None:
+        if self._board.stream_in(path, "/zones/", "") is not None:
             return ZonesAnswer(
                 HTTPStatus.OK, (_FOLDER / "zones.html").read_bytes(), "text/html; charset=utf-8"
             )
@@ -107,7 +106,7 @@ class ZonesPage:
         body : bytes
             JSON: ``zones``, as :class:`DrawnZone`, and the ``version`` that was drawn over.
         """
-        name = self._stream(path, ".json")
+        name = self._board.stream_in(path, "/zones/", ".json")
         if name is None:
             return _refusal(HTTPStatus.NOT_FOUND, "There is nothing here.")
         if not self._may_write:
@@ -120,19 +119,14 @@ class ZonesPage:
             drawing = _Drawing.model_validate_json(body)
         except ValidationError as invalid:
             first = invalid.errors()[0]
-            words = first["msg"].removeprefix("Value error, ")
             where = ".".join(map(str, first["loc"]))
-            return _refusal(HTTPStatus.UNPROCESSABLE_ENTITY, f"{where + ': ' if where else ''}{words}.")
+            words = f"{where + ': ' if where else ''}{words_of(first)}."
+            return _refusal(HTTPStatus.UNPROCESSABLE_ENTITY, words)
         try:
             self._editor.write(name, drawing.zones, drawing.version)
         except ConfigError as error:
             return _refusal(HTTPStatus.CONFLICT, str(error))
         return ZonesAnswer(HTTPStatus.OK, json.dumps(self._zones(name)).encode(), "application/json")
-
-    def _stream(self, path: str, ending: str = "") -> str | None:
-        name = unquote(path).removeprefix("/zones/").removesuffix(ending)
-        known = any(state.name == name for state in self._board.states)
-        return name if known and unquote(path) == f"/zones/{name}{ending}" else None
 
     def _zones(self, name: str) -> dict[str, object]:
         """Return what the page shows of a stream.

@@ -13,6 +13,7 @@ and that of an earlier version stands in for it; a new stream waits until it is 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -36,6 +37,9 @@ from orchestrator.yaml_file import YamlFile, faults_of, line_of, read_yaml
 __all__ = ["parse_cameras"]
 
 _OPTIONS = {name: option for name, option in options() if option.of_streams}
+
+#: In messages about values that flags take, too.
+_FLAG = re.compile(r"(?<!\S)--([a-z][a-z-]*)")
 
 
 def parse_cameras(path: Path, folder: Path, before: StreamsFile | None = None) -> StreamsFile:
@@ -106,7 +110,7 @@ class _Parser:
     def _add_faults(self, faults: Mapping[int, str]) -> None:
         for line, words in faults.items():
             others = f"{self.faults[line]}; " if line in self.faults else ""
-            self.faults[line] = others + mask(words).rstrip(".")
+            self.faults[line] = others + mask(_FLAG.sub(_as_key, words)).rstrip(".")
 
     def _stream(
         self,
@@ -176,6 +180,10 @@ class _Parser:
                 complete &= key in before.options
                 if key in before.options:
                     values[key] = before.options[key]
+        if "ignore" in values and (faults := values["ignore"].faults):
+            if "ignore" in entry:
+                self._fault([*place, "ignore"], faults[0])
+            values["ignore"] = before.options.get("ignore", values["ignore"])  # or nothing: the stream runs
         known = ["source", "was", *EventSettings.model_fields, *_OPTIONS]
         for key in entry.keys() - set(known):
             near = get_close_matches(str(key), known, 1)
@@ -214,6 +222,10 @@ def _merged(defaults: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, 
     if isinstance(both[0], dict) and isinstance(both[1], dict):
         whole["set"] = {**both[0], **both[1]}
     return whole
+
+
+def _as_key(flag: re.Match[str]) -> str:
+    return flag[1].replace("-", "_")
 
 
 def _text(value: object) -> str:

@@ -27,7 +27,7 @@ from orchestrator.events.rules import Rule
 from orchestrator.events.zones import EventSettings, Zone
 from orchestrator.run.zone_text import WrittenZone, with_zones
 from orchestrator.storage.durable_files import publish, temporary_path
-from orchestrator.yaml_file import read_yaml
+from orchestrator.yaml_file import YamlFile, read_yaml, words_of
 
 __all__ = ["DrawnZone", "StreamZones", "ZoneEditor", "ZoneFiles"]
 
@@ -127,7 +127,7 @@ class ZoneEditor:
         ConfigError
             If no file can hold them, or it cannot be read.
         """
-        return _of_stream(*self._file(stream), stream).zones
+        return self._part(stream).zones
 
     def write(self, stream: str, drawn: Sequence[DrawnZone], version: str) -> None:
         """Replace the zones of a stream, and nothing else of the file.
@@ -146,8 +146,7 @@ class ZoneEditor:
             If they cannot be used, were changed by somebody else, or cannot be written.
         """
         with self._lock:
-            path, flag = self._file(stream)
-            part = _of_stream(path, flag, stream)
+            part = self._part(stream)
             if part.zones.version != version:
                 raise ConfigError("Somebody else has changed these zones since; reload the page.")
             written = _written(part, drawn)
@@ -157,26 +156,25 @@ class ZoneEditor:
             text = with_zones(part.text, stream, written)
             if not _says(text, meant):
                 raise ConfigError(
-                    f"{path.name} is written in a way in which its zones cannot be replaced safely; change "
-                    "them there by hand."
+                    f"{part.path.name} is written in a way in which its zones cannot be replaced safely; "
+                    "change them there by hand."
                 )
-            _replace(path, part.text, text)
+            _replace(part.path, part.text, text)
 
-    def _file(self, stream: str) -> tuple[Path, str]:
-        """Return the file that holds, or may hold, the zones of a stream, and the flag that names it."""
+    def _part(self, stream: str) -> _Part:
+        """Return what is written of a stream in the file that holds, or may hold, its zones."""
         cameras, zones = self.files.cameras, self.files.zones
+        other = None if zones is None else read_yaml(zones, "--zones")
         if cameras is not None:
-            entry, defaults = _entry(read_yaml(cameras, "--streams").content, stream)
-            named = zones is not None and _entry(read_yaml(zones, "--zones").content, stream)[0] is not None
-            own = (
-                EventSettings.model_fields.keys()
-                & (defaults | (entry if isinstance(entry, dict) else {})).keys()
-            )
+            file = read_yaml(cameras, "--streams")
+            entry, defaults = _entry(file.content, stream)
+            named = other is not None and _entry(other.content, stream)[0] is not None
+            own = EventSettings.model_fields.keys() & {*defaults, *(entry if isinstance(entry, dict) else ())}
             if entry is not None and (own or not named):
-                return cameras.resolve(), "--streams"
-        if zones is None:
+                return _of_stream(cameras, file, stream, defaults)
+        if zones is None or other is None:
             raise ConfigError(_NOWHERE)
-        return zones.resolve(), "--zones"
+        return _of_stream(zones, other, stream, {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,6 +183,7 @@ class _Part:
 
     Attributes
     ----------
+    path : Path
     text : str
         The whole file, with the ends of its lines as they are.
     content
@@ -195,15 +194,12 @@ class _Part:
     zones : StreamZones
     """
 
+    path: Path
     text: str
     content: dict[str, Any] = field(repr=False)
     stream: str
     asked: dict[str, Any]
     zones: StreamZones
-
-    @property
-    def entry(self) -> object:
-        return _entry(self.content, self.stream)[0]
 
     def with_zones(self, zones: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Return the content of the file with other zones; ConfigError if they do not suit the rules."""
@@ -214,7 +210,8 @@ class _Part:
         meant = deepcopy(self.content)
         streams = meant["streams"] = meant.get("streams") or {}
         key = next((key for key in streams if str(key) == self.stream), self.stream)
-        before = {"source": self.entry} if isinstance(self.entry, str) else self.entry
+        entry = _entry(self.content, self.stream)[0]
+        before = {"source": entry} if isinstance(entry, str) else entry
         streams[key] = (before if isinstance(before, dict) else {}) | {"zones": list(zones)}
         return meant
 
@@ -229,17 +226,11 @@ def _entry(content: object, stream: str) -> tuple[object, dict[str, Any]]:
     return entry, defaults if isinstance(defaults, dict) else {}
 
 
-def _of_stream(path: Path, flag: str, stream: str) -> _Part:
-    read_yaml(path, flag)  # tells in words what is wrong with it
-    try:
-        text = path.read_bytes().decode()  # as it is, with any carriage returns
-        content = yaml.safe_load(text)
-    except (OSError, ValueError, yaml.YAMLError):
-        raise ConfigError(f"{path.name} is being changed; try again.") from None
-    if not isinstance(content, dict):
+def _of_stream(path: Path, file: YamlFile, stream: str, defaults: dict[str, Any]) -> _Part:
+    if not isinstance(file.content, dict):
         raise ConfigError(f"{path.name} is no mapping of keys to values.")
-    entry, defaults = _entry(content, stream)
-    whole = (defaults if flag == "--streams" else {}) | (entry if isinstance(entry, dict) else {})
+    entry, _ = _entry(file.content, stream)
+    whole = defaults | (entry if isinstance(entry, dict) else {})
     asked = {key: whole[key] for key in EventSettings.model_fields if whole.get(key) is not None}
     try:
         settings = EventSettings.model_validate(asked)
@@ -248,7 +239,8 @@ def _of_stream(path: Path, flag: str, stream: str) -> _Part:
             f"Nothing can be drawn, as {path.name} has a fault below {stream}: {_words_of(invalid, [])}"
         ) from None
     digest = hashlib.sha256(settings.model_dump_json().encode()).hexdigest()[:16]
-    return _Part(text, content, stream, asked, StreamZones(settings.zones, settings.rules, digest))
+    zones = StreamZones(settings.zones, settings.rules, digest)
+    return _Part(path.resolve(), file.text, file.content, stream, asked, zones)
 
 
 def _written(part: _Part, drawn: Sequence[DrawnZone]) -> list[WrittenZone]:
@@ -291,7 +283,7 @@ def _rounded(share: float) -> float:
 def _words_of(invalid: ValidationError, names: Sequence[str]) -> str:
     """Return the first fault as a sentence, with the zone that it is about."""
     first = invalid.errors()[0]
-    words = first["msg"].removeprefix("Value error, ")
+    words = words_of(first)
     place = first["loc"][1] if first["loc"][:1] == ("zones",) and len(first["loc"]) > 1 else None
     if isinstance(place, int) and place < len(names):
         words = f"{names[place]}: {words}"

@@ -20,7 +20,7 @@ def newest_version(run: Path, kind: Edited) -> Path | None:
 
 def keep_version(run: Path, kind: Edited, text: str) -> None:
     """Keep the contents of a file as the version in force now; OSError as the disk says."""
-    newest, text = newest_version(run, kind), masked_yaml(text)
-    if newest is None or newest.read_text(encoding="utf-8") != text:
+    newest, content = newest_version(run, kind), masked_yaml(text).encode()
+    if newest is None or newest.read_bytes() != content:
         number = 1 if newest is None else int(newest.stem.rpartition("-")[2]) + 1
-        replace_file(run / f"{kind}-{number:04d}.yaml", text.encode())
+        replace_file(run / f"{kind}-{number:04d}.yaml", content)

@@ -6,10 +6,23 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["FileWatch"]
+__all__ = ["FileWatch", "Stamp", "stamp_of"]
 
 #: Interval of checks, s.
 _LOOK_SECONDS = 0.5
+
+
+#: What a file has no more when it is written anew; empty if it is not there.
+Stamp = tuple[int, ...]
+
+
+def stamp_of(path: Path) -> Stamp:
+    """Return what tells a file as it is now from what is written later; to be taken before it is read."""
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_mtime_ns, status.st_size, status.st_ino
 
 
 class FileWatch:
@@ -18,16 +31,19 @@ class FileWatch:
     Parameters
     ----------
     path : Path
-        Read just before.
+    read : Stamp, optional
+        Of what was read of it; by default it is as it was read.
     clock : callable
         Monotonic time, s.
     """
 
-    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, path: Path, read: Stamp | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._path = path
         self._clock = clock
         self._looked_at = clock()
-        self._seen = self._read_stamp = self._stamp()
+        self._seen = self._read = stamp_of(path) if read is None else read
 
     def has_changed(self) -> bool:
         """Check the file if it is time; return whether it is to be read again.
@@ -38,15 +54,8 @@ class FileWatch:
         if now - self._looked_at < _LOOK_SECONDS:
             return False
         self._looked_at = now
-        before, self._seen = self._seen, self._stamp()
-        if self._seen == self._read_stamp or self._seen != before:
+        before, self._seen = self._seen, stamp_of(self._path)
+        if self._seen == self._read or self._seen != before:
             return False
-        self._read_stamp = self._seen
+        self._read = self._seen
         return True
-
-    def _stamp(self) -> tuple[int, ...] | None:
-        try:
-            status = self._path.stat()
-        except OSError:
-            return None
-        return status.st_mtime_ns, status.st_size, status.st_ino

@@ -97,9 +97,11 @@ class Job:
             self._watch = ListWatch(
                 arguments.streams, own, self._recorded_source, lambda text: say(mask(text))
             )
-        zones = arguments.zones.path
-        self._zones_are_faulty = arguments.zones.fault is not None
-        self._zones_watch = FileWatch(zones) if arguments.watch and zones is not None else None
+        zones = arguments.zones
+        self._zones_are_faulty = zones.fault is not None
+        self._zones_watch = None
+        if arguments.watch and zones.path is not None:
+            self._zones_watch = FileWatch(zones.path, zones.stamp)
 
     @property
     def specs(self) -> list[StreamSpec]:

@@ -76,7 +76,7 @@ class ListWatch:
         self._present = {stream.name: stream for stream in begun.streams}
         self._targets = begun.targets
         self._is_faulty = bool(begun.faults) or begun.targets is None
-        self._file = FileWatch(path, clock)
+        self._file = FileWatch(path, begun.stamp, clock)
 
     def look(self) -> ListChange | None:
         """Check the list if it is time; return its changes, or None."""

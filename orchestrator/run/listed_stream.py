@@ -11,6 +11,7 @@ from typing import Any
 from mlbs_actors.errors import ConfigError
 from orchestrator.events.targets import EventTarget
 from orchestrator.events.zones import EventSettings
+from orchestrator.run.file_watch import Stamp
 from orchestrator.sources.address import SourceAddress
 
 __all__ = [
@@ -87,12 +88,15 @@ class StreamsFile:
         Of a file of cameras.
     targets : tuple of EventTarget, optional
         Where it has events sent; None if that is not known.
+    stamp : Stamp, optional
+        Of the file as it was read, if that is known.
     """
 
     streams: tuple[ListedStream, ...]
     faults: dict[int, str]
     text: str | None = field(default=None, repr=False)
     targets: tuple[EventTarget, ...] | None = ()
+    stamp: Stamp | None = None
 
 
 def check_name(name: str, *, given: bool) -> None:

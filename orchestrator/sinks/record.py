@@ -188,7 +188,7 @@ class StreamRecord:
                 labels=segmentation.labels,
                 index=frame.index,
                 pts=frame.pts,
-                taken=self._events.taken_at(frame.pts),
+                taken=self._events.file.taken_at(frame.pts),
                 regions={layer.layer: layer.region for layer in segmentation.layers},
                 pixel_aspect=frame.pixel_aspect,
                 scene=scene,
@@ -214,7 +214,7 @@ class StreamRecord:
 
     def silent(self) -> None:
         """Note that a camera sends nothing at present."""
-        self._events.silent()
+        self._events.file.silent()
         try:
             self._write_events()
         except OSError as error:
@@ -266,9 +266,9 @@ class StreamRecord:
                 if self._segments is not None:
                     self._segments.merge_all(self._log)
                 if whole:
-                    self._events.finish(self._log.rows)
+                    self._events.file.finish(self._log.rows)
                 else:
-                    self._events.show_counts()
+                    self._events.file.show_counts()
                 if self._objects is not None:
                     self._objects.write(complete=whole)
             self._pictures.discard()
@@ -285,7 +285,7 @@ class StreamRecord:
 
     def _taken_at(self, pts: float) -> float:
         """Return when a live source's frame of a time was taken, seconds since 1970."""
-        taken = self._events.taken_at(pts)
+        taken = self._events.file.taken_at(pts)
         return self._clock() if taken is None else taken
 
     def _put(self, frame: SourceFrame, part: str, name: str, content: bytes) -> None:
@@ -316,9 +316,9 @@ class StreamRecord:
         self._write_events()
 
     def _write_events(self) -> None:
-        if self._events.unwritten:
+        if self._events.file.unwritten:
             with self._log.exclusive():
-                self._events.write()
+                self._events.file.write()
 
     def _commit(self, before: float = math.inf) -> None:
         """Commit the rows before a number, by default all."""

@@ -19,7 +19,7 @@ from orchestrator.clips.clips import Clips
 from orchestrator.clips.cutter import Cutter, CutterLostError
 from orchestrator.clips.packet_ring import PACKETS, PacketRing
 from orchestrator.clips.settings import ClipSettings
-from orchestrator.events.clip_names import clip_name, forget_clips_before
+from orchestrator.events.file_names import clip_name, forget_clips_before
 
 BEGAN = 1_700_000_000.0
 SETTINGS = ClipSettings(before=3, after=3)

@@ -11,7 +11,8 @@ import pytest
 from mlbs_actors.messages import Array, LayerSummary, Region
 from mlbs_actors.pictures.drawing import Outline
 from mlbs_actors.pictures.layer_colours import layer_colour
-from orchestrator.events.pictures import PICTURES, EventPictures, Pictured, picture_name
+from orchestrator.events.file_names import PICTURES, picture_name
+from orchestrator.events.pictures import EventPictures, Pictured
 
 TIME = "2026-05-04 11:15:31.7 CEST"
 

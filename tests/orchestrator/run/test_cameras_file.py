@@ -141,6 +141,34 @@ def test_a_change_takes_effect_when_its_option_says(
     assert changes_between(was, was) == {}
 
 
+def test_a_camera_whose_mask_cannot_be_read_runs_with_the_one_before_or_none(tmp_path: Path) -> None:
+    masked = CAMERAS.replace("save: masks", "save: masks\n    ignore: corner.txt")
+    (tmp_path / "corner.txt").write_text("0,0,1,0,0,1")
+    good = read(tmp_path, masked)
+    (tmp_path / "corner.txt").unlink()
+    for before, digest in ((good, asked(good, "gate").described()["ignore"]), (None, "")):
+        parsed = read(tmp_path, masked, before)
+        assert [one.name for one in parsed.streams] == ["gate", "lane"]
+        assert asked(parsed, "gate").described()["ignore"] == digest
+        assert list(parsed.faults) == [10]
+        assert parsed.faults[10].startswith(f"ignore: {tmp_path / 'corner.txt'} cannot be read")
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("keep: forever", "keep takes an age"),
+        ("segment: week", "segment takes hour, day"),
+        ("set: {layers: 3}", "Cannot use set 'layers=3'"),
+    ],
+)
+def test_a_fault_speaks_of_the_keys_of_the_file_not_of_flags(tmp_path: Path, entry: str, words: str) -> None:
+    parsed = read(tmp_path, f"events: [{{url: ftp://x}}]\nstreams:\n  a: {{source: rtsp://cam/a, {entry}}}\n")
+    assert parsed.faults[1].startswith("events takes mqtt://")
+    assert words in parsed.faults[3]
+    assert "--" not in "".join(parsed.faults.values())
+
+
 def test_a_mistake_in_the_defaults_leaves_every_camera_as_it_was(tmp_path: Path) -> None:
     good = read(tmp_path, CAMERAS)
     parsed = read(tmp_path, CAMERAS.replace("max_side: 960", "max_side: nine"), good)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -80,6 +81,31 @@ def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed
         "--zones names aa, not streams of this run at present.",
         "From now on for a: other zones or rules.",
     ]
+
+
+def test_what_is_edited_before_the_run_looks_at_its_files_is_taken_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(file_watch, "_LOOK_SECONDS", 0.0)
+    zones, cameras = tmp_path / "zones.yaml", tmp_path / "cameras.yaml"
+    zones.write_text(ZONES)
+    cameras.write_text("streams: {a: 'synthetic:demo', b: 'synthetic:demo'}\n")
+    stamp = file_watch.stamp_of(cameras)
+    listed = replace(read_stream_list(cameras), stamp=stamp)
+    words = ["--streams", str(cameras), "--zones", str(zones), "--output", str(tmp_path), "--watch"]
+    arguments = parse(words)
+    zones.write_text(ZONES.replace("yard", "driveway"))
+    cameras.write_text("streams: {a: 'synthetic:demo', b: 'synthetic:demo', c: 'synthetic:demo'}\n")
+    job = job_of(listed, arguments, tmp_path)
+    assert job.changes() is None
+    change = job.changes()
+    assert change is not None
+    assert [spec.name for spec in change.added] == ["c"]
+    change = job.changes() if not change.configured else change
+    assert change is not None
+    [(spec, rules)] = change.configured
+    assert isinstance(rules, EventRules)
+    assert (spec.name, rules.zones[0].name) == ("a", "driveway")
 
 
 @pytest.mark.parametrize("side", [[], ["--max-side", "96"]])
