@@ -21,6 +21,7 @@ from record_fakes import HEIGHT, WIDTH, frame, segmentation, write_run, write_st
 from mlbs_actors.errors import MlbsError
 from mlbs_actors.messages import Array
 from orchestrator.export.__main__ import FORMATS, main
+from orchestrator.export.command import WRITERS
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.label_image import davis_palette
 from orchestrator.sinks.record import StreamRecord
@@ -199,7 +200,11 @@ def test_trackeval_reads_every_mask_and_id_and_finds_an_export_equal_to_itself(
     assert trackeval.metrics.HOTA({"PRINT_CONFIG": False}).eval_sequence(data)["HOTA"].min() == 1.0
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"overlay", "rerun"}))
+def test_the_help_names_every_format() -> None:
+    assert tuple(WRITERS) == FORMATS
+
+
+@pytest.mark.parametrize("name", sorted(WRITERS.keys() - {"overlay", "rerun"}))
 def test_only_what_is_committed_is_exported(run: Path, tmp_path: Path, name: str) -> None:
     for stream in ("yard", "gate"):
         (tmp_path / "run" / stream).mkdir(parents=True)
