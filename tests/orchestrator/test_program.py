@@ -23,7 +23,12 @@ def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Sequence[str]
     """The words with which streams would be run, in an empty working folder."""
     found: list[Sequence[str]] = []
     monkeypatch.setattr(program, "exit_on_signals", lambda: None)  # the test run has its own
-    monkeypatch.setattr(program, "_streams", lambda words: found.append(words) or 0)
+
+    def run(words: Sequence[str]) -> int:
+        found.append(words)
+        return 0
+
+    monkeypatch.setattr(program, "_streams", run)
     monkeypatch.chdir(tmp_path)
     return found
 

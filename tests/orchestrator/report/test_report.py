@@ -391,6 +391,8 @@ def test_the_report_of_a_run_that_goes_on_or_was_killed_says_so(run_folder: Path
     status = json.loads((tmp_path / "status.json").read_text())
     (tmp_path / "status.json").write_text(json.dumps(status | {"ended": False, "exit_status": None}))
     assert "not ended" in render_report(tmp_path)
+    (tmp_path / "status.json").write_text(json.dumps(status | {"ended": True, "exit_status": None}))
+    assert "told to end, but not over" in " ".join(render_report(tmp_path).split())
 
 
 @pytest.mark.long

@@ -163,6 +163,26 @@ def test_the_status_file_is_not_written_more_often_than_twice_a_second(tmp_path:
     assert len(set(writings)) == 20
 
 
+def test_a_run_that_is_told_to_end_says_so_at_once_as_it_may_be_killed_before_its_end(tmp_path: Path) -> None:
+    now = [0.0]
+    status = StatusFile(tmp_path / "status.json", lambda: now[0])
+
+    def written() -> tuple[bool, object, bool]:
+        figures = json.loads((tmp_path / "status.json").read_text())
+        return figures["ended"], figures["exit_status"], figures["alive_until"] is not None
+
+    status.update(STATES)
+    assert written() == (False, None, True)
+    status.stopping = lambda: True
+    status.update(STATES)  # in the same half second
+    assert written() == (True, None, True)
+    (tmp_path / "status.json").write_text("{}")
+    status.update(STATES)  # once only
+    assert (tmp_path / "status.json").read_text() == "{}"
+    status.finish(STATES, 143)
+    assert written() == (True, 143, False)
+
+
 def test_a_status_that_cannot_be_written_stops_nothing_while_running_but_is_told_at_the_end(
     tmp_path: Path,
 ) -> None:
