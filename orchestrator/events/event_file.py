@@ -60,6 +60,8 @@ class _Mark:
         What tells the rules by which they were made from others; an earlier version's have none.
     counts : CountState
         What rows and events have come to.
+    asked : mapping of str to object, optional
+        What these rules and the other settings were.
     """
 
     rows: int
@@ -68,6 +70,7 @@ class _Mark:
     state: EventState = field(default_factory=EventState)
     rules: str | None = None
     counts: CountState = field(default_factory=CountState)
+    asked: dict[str, Any] | None = None
 
 
 _MARK = TypeAdapter(_Mark)
@@ -223,6 +226,8 @@ class _EventLines:
         self._stream = stream
         self._tally = tally
         self._happenings = Happenings(rules, mark.state)
+        self._asked = mark.asked if mark.rows else rules.described()
+        self._was: dict[str, Any] | None = None
         self.pictured: dict[int, set[str]] = {}  # objects that the newest lines name pictures of, their zones
         self._events, self._began = mark.events, mark.began
 
@@ -238,6 +243,7 @@ class _EventLines:
             self._began = step.began
         if step.rules is not None:
             events = self._happenings.configured(step.rules)
+            self._was, self._asked = self._asked, step.rules.described()
         elif step.row is None:
             events = self._happenings.silent()
         else:
@@ -253,7 +259,9 @@ class _EventLines:
     def mark(self, rows: int) -> bytes:
         state, rules = self._happenings.state, self._happenings.rules
         counts = CountState() if self._tally is None else self._tally.state
-        return _MARK.dump_json(_Mark(rows, self._events, self._began, state, rules.digest, counts))
+        return _MARK.dump_json(
+            _Mark(rows, self._events, self._began, state, rules.digest, counts, self._asked)
+        )
 
     def _lines(self, events: list[Event], row: FrameRow | None) -> list[str]:
         if self._tally is not None:
@@ -277,6 +285,7 @@ class _EventLines:
         if row is not None and event.kind in _PICTURED and event.layer in self.pictured:
             picture = picture_name(row.frame, event.layer)
         identity = event_id(self._stream, event)
+        was, now = (self._was, self._asked) if event.kind == "configured" else (None, None)
         return {
             "id": identity,
             "stream": self._stream,
@@ -296,6 +305,8 @@ class _EventLines:
             "seconds": _rounded(event.seconds),
             "reason": event.reason,
             "replaced_by": event.replaced_by,
+            "was": _other_than(now, was),
+            "now": _other_than(was, now),
             "picture": picture,
             "clip": clip_name(event.frame, identity) if event.kind in self._happenings.rules.clips else None,
             "number": number,
@@ -311,6 +322,14 @@ def event_id(stream: str, event: Event) -> str:
     name = event.reason if event.kind == "configured" else event.rule
     parts = (stream, event.frame, f"{event.pts:.3f}", event.kind, event.layer, event.zone, name)
     return "/".join(str(part) for part in parts if part is not None)
+
+
+def _other_than(others: dict[str, Any] | None, settings: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return the settings that are other ones there, or are not there; None if one of both is not known."""
+    if others is None or settings is None:
+        return None
+    missing = object()
+    return {name: value for name, value in settings.items() if others.get(name, missing) != value}
 
 
 def committed_events(folder: Path) -> int:
