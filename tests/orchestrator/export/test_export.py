@@ -73,6 +73,40 @@ def test_coco_is_read_by_pycocotools_and_gives_back_every_mask(run: Path, tmp_pa
     assert tracks == {(1, 3), (1, 5), (2, 3), (2, 5)}
 
 
+@pytest.mark.parametrize(
+    ("places", "expected"),
+    [
+        (["pictures", "rtsp://cam/x"], ["img000.jpg", "gate/img000.png"]),
+        (["sites/north", "sites/south/*.jpg"], ["north/img000.jpg", "south/img000.jpg"]),
+        (["gone", "other"], ["yard/img000.png", "gate/img000.png"]),
+    ],
+)
+def test_an_image_of_coco_has_the_name_of_the_picture_that_it_is(
+    run: Path, tmp_path: Path, places: list[str], expected: list[str]
+) -> None:
+    for place in places:
+        folder = tmp_path / place.removesuffix("/*.jpg")
+        if ":" not in place and place != "gone":
+            folder.mkdir(parents=True)
+            for index in range(40):
+                (folder / ("x" * (place == "other") + f"img{index:03d}.jpg")).touch()
+    sources = [place if ":" in place else str(tmp_path / place) for place in places]
+    description = json.loads((run / "run.json").read_text())
+    description["sources"] = dict(zip(("yard", "gate"), sources, strict=True))
+    copied = tmp_path / "run"
+    copied.mkdir()
+    (copied / "run.json").write_text(json.dumps(description))
+    for name in description["sources"]:
+        (copied / name).symlink_to(run / name)
+    dataset = json.loads(export("coco", copied, tmp_path / "run.json").read_text())
+    names = {video["id"]: video["name"] for video in dataset["videos"]}
+    first = {names[one["video_id"]]: one["file_name"] for one in dataset["images"] if one["frame_id"] == 0}
+    assert [first["yard"], first["gate"]] == expected
+    assert len({one["file_name"] for one in dataset["images"]}) == len(dataset["images"])
+    tracks = {(one["track_id"], one["attributes"]["track_id"]) for one in dataset["annotations"]}
+    assert tracks == {(3, 3), (5, 5)}
+
+
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_cocoeval_takes_a_coco_export_for_results_of_itself(run: Path, tmp_path: Path) -> None:
     truth = COCO(str(export("coco", run, tmp_path / "run.json")))
