@@ -79,9 +79,6 @@ __all__ = ["run", "what_to_look_at"]
 #: How long files are looked into before streams start, s; faults of the rest are found when their turn comes.
 _SURVEY_SECONDS = 5.0
 
-#: What a user who limits the streams is told that they wait for.
-_PLACES = "places (--places)"
-
 
 def run(
     arguments: Arguments,
@@ -297,6 +294,7 @@ def _drive(
         Interruption(log.say) as interruption,
     ):
         log.on_reader_gone = interruption.ask
+        status.stopping = lambda: interruption.signal_number is not None
         progress = progress_for(output, log)
         try:
             host: Node | Cluster
@@ -332,11 +330,25 @@ def _admission(host: Node | Cluster, memory: NodeMemory, most: int | None) -> Ad
     """Return what decides which streams may run; ``most`` are those that the user allows."""
     if isinstance(host, Cluster):
         if most is None:
-            return by_count(host.places, "places of the nodes")
-        return by_count(lambda waiting: min(most, host.places(waiting)), _PLACES)
+            return by_count(host.places, words=_words_on_nodes)
+        return by_count(
+            lambda waiting: min(most, host.places(waiting)),
+            words=lambda taken: _words_on_nodes(taken) if taken < most else _words_on_places(taken),
+        )
     if most is None:
         return by_load(cores(), places(memory, cores()), node_memory)
-    return by_count(most, _PLACES)
+    return by_count(most, words=_words_on_places)
+
+
+def _words_on_places(most: int) -> str:
+    return f"one of the {most} places (--places), which are taken"
+
+
+def _words_on_nodes(running: int) -> str:
+    """Say what a stream waits for on a cluster, whose nodes have places only as far as Ray has room."""
+    if not running:
+        return "room on a node: none takes a stream now"
+    return f"room on a node: {count_of(running, 'stream')} have what Ray has free for them"
 
 
 def _most_at_once(
