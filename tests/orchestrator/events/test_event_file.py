@@ -241,7 +241,7 @@ def test_a_reader_of_events_sees_which_settings_have_changed_and_what_they_were(
     one.configure(asked[1])
     write(one, 14, 20)
     assert one.keep(bare_snapshot(one, 20))
-    record(tmp_path, live=True, rules=asked[2])
+    write(record(tmp_path, live=True, rules=asked[2]), 20, 30)
     first, second = [event for event in lines(tmp_path) if event["kind"] == "configured"]
     assert (first["was"], first["now"]) == ({"max_side": None, "layers.lookahead": 3}, {"max_side": 960})
     assert (second["was"], second["now"]) == ({"save": ["masks"]}, {"save": ["masks", "parquet"]})
