@@ -257,6 +257,7 @@ def test_objects_are_those_of_the_label_maps_and_the_long_ones_are_counted(tmp_p
         "0",
         "80",
         "0.50",
+        "fair",
         "moving",
         "5 in its place",
     ]
