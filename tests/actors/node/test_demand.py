@@ -96,6 +96,11 @@ def test_what_tells_the_autoscaler_ends_after_the_last_run_and_is_there_again_fo
     ray.kill(ray.get_actor(ACTOR_NAME, namespace=NAMESPACE))
     wait_until(lambda: not is_there())
     cpus = iter(range(1, 10_000))
-    wait_until(lambda: run.tell([A_CPU] * next(cpus)) is None and is_there())
+
+    def told_again() -> bool:
+        run.tell([A_CPU] * next(cpus))
+        return is_there()
+
+    wait_until(told_again)
     run.end()
     ray.kill(ray.get_actor(ACTOR_NAME, namespace=NAMESPACE))

@@ -32,7 +32,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("table", ["layers", "frames"])
 def test_one_glob_finds_every_row_of_every_stream_once(run: Path, table: str) -> None:
     tables = pyarrow.dataset.dataset(sorted(map(str, run.glob(f"**/{table}*.parquet")))).to_table()
-    counted = duckdb.sql(
+    counted = duckdb.execute(
         f"SELECT stream, count(*) FROM '{run}/**/{table}*.parquet' GROUP BY stream"
     ).fetchall()
     streams = tables["stream"].to_pylist()
