@@ -23,8 +23,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--rate", type=float, metavar="N", help="of N frames a second, instead of its own")
     given = parser.parse_args(argv)
     # Imported here: the help needs nothing that is installed.
+    from mlbs_actors.record.recorded_stream import read_description
     from orchestrator.disk_use.measured import stream_use
-    from orchestrator.run.run_folder import read_description
 
     if (description := read_description(given.folder)) is None:
         print(f"{given.folder} holds no run; name the folder given to --output.", file=sys.stderr)
