@@ -1,4 +1,4 @@
-"""Entry point of ``python -m orchestrator``."""
+"""Entry point of ``mlbs-actors`` and ``python -m orchestrator``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 from orchestrator.command_options import command_parser
 from orchestrator.early_signals import exit_on_signals
+from orchestrator.program import command_line_of
+from orchestrator.subcommands import likely_subcommand, overview, subcommand, words_on_namesake
 
 __all__ = ["main"]
 
@@ -15,29 +17,50 @@ __all__ = ["main"]
 #: which ``MultilayerSubtractor`` alone does not need.
 _NEEDED = ("cv2", "av", "filelock", "jinja2", "PIL", "pyarrow", "pycocotools", "ray", "rich")
 
+_HELP = ("-h", "--help")
+
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status (see ``--help``)."""
+    """Run the program; return its exit status (see ``--help``)."""
     exit_on_signals()
-    given = sys.argv[1:] if argv is None else argv
-    if not {"-h", "--help"}.isdisjoint(given):  # also where nothing is installed yet
-        command_parser().print_help()
+    given = list(sys.argv[1:] if argv is None else argv)
+    flags, words = (given[:1], given[1:]) if given[:1] == ["--or-demo"] else ([], given)  # of scripts/run
+    if words and words[0] in _HELP:
+        print(overview(), end="")
         return 0
-    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
-    if missing:
+    word = words[0] if words else ""
+    chosen = subcommand(word)
+    if chosen is not None and word != "demo":  # which is a source, too
+        words = words[1:]
+        if (remark := words_on_namesake(word)) is not None:
+            print(remark, file=sys.stderr)
+    run = _streams if chosen is None or chosen.module is None else chosen.main()
+    if not set(_HELP).isdisjoint(words):  # also where nothing is installed yet
+        return run(words)
+    if missing := [name for name in _NEEDED if importlib.util.find_spec(name) is None]:
         extras = "run,headless" if "cv2" in missing else "run"
         print(
-            f"Packages are missing that a run needs ({', '.join(missing)}); "
-            f"pip install 'mlbs-actors[{extras}]'",
+            f"Packages are missing that it needs ({', '.join(missing)}); pip install 'mlbs-actors[{extras}]'",
             file=sys.stderr,
         )
         return 2
-    # Imported here, because that takes a second, in which a signal may come.
-    from orchestrator.command import run_command
     from orchestrator.log import ending_quietly
 
     with ending_quietly():
-        return run_command(given)
+        status = run([*flags, *words] if run is _streams else words)
+    if status == 2 and chosen is None and (meant := likely_subcommand(word)) is not None:
+        print(f"Did you mean {command_line_of(meant)}?", file=sys.stderr)
+    return status
+
+
+def _streams(words: Sequence[str]) -> int:
+    if not set(_HELP).isdisjoint(words):
+        command_parser().print_help()
+        return 0
+    # Imported here, because that takes a second, in which a signal may come.
+    from orchestrator.command import run_command
+
+    return run_command(words)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The parser of the command and its help, made of :mod:`orchestrator.options`."""
+"""The parser of a run and its help, made of :mod:`orchestrator.options`."""
 
 from __future__ import annotations
 
@@ -8,17 +8,9 @@ from typing import Any
 
 from orchestrator.option import Form
 from orchestrator.options import options
-from orchestrator.program import program_name, python_name
+from orchestrator.program import EXAMPLES, program_name
 
 __all__ = ["command_parser", "flag_of"]
-
-_EXAMPLES = """\
-examples:
-  {program} street.mp4                     one video; results in street-objects, beside it
-  {program} clips/ rtsp://host/stream      each video of a folder, and a camera; results in out
-  {program} demo --max-frames 30           the beginning of a built-in scene
-
-"""
 
 _EPILOG = """\
 a SOURCE is a video file, a folder or a glob of images; a camera: rtsp(s)://HOST/PATH, http(s)://HOST/PATH
@@ -55,9 +47,10 @@ output:
 while it runs: a table on a terminal, else lines of text on standard output (--log json: JSON lines);
 messages on standard error
 afterwards:
-  PYTHON -m orchestrator.export FORMAT DIR OUT   csv, coco, mot, mots, davis, youtube-vos, overlay, rerun
-  PYTHON -m orchestrator.disk_use DIR            bytes a frame and GB a day of each stream
-  PYTHON -m orchestrator.report DIR              report.html anew, also of a run that was killed
+  PROGRAM export FORMAT DIR OUT   csv, coco, mot, mots, davis, youtube-vos, overlay, rerun
+  PROGRAM disk-use DIR            bytes a frame and GB a day of each stream
+  PROGRAM report DIR              report.html anew, also of a run that was killed
+  PROGRAM --help                  all commands
 
 exit status:
   0    every stream was segmented to its end; that of a camera without --max-frames is SIGINT or SIGTERM
@@ -77,7 +70,7 @@ def command_parser() -> argparse.ArgumentParser:
         usage="%(prog)s [SOURCE ...] [--streams LIST] [--output DIR] [flags]",
         description="Segment every independently moving object in many moving-camera videos at once: "
         "a label map for every frame of every stream.",
-        epilog=_EPILOG.replace("PYTHON", python_name()),
+        epilog=_EPILOG.replace("PROGRAM", program_name()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
@@ -126,4 +119,4 @@ class _Parser(argparse.ArgumentParser):
 
     def format_help(self) -> str:
         """Return the help."""
-        return _EXAMPLES.format(program=self.prog) + super().format_help()
+        return EXAMPLES.format(program=self.prog) + super().format_help()

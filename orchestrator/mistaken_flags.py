@@ -23,7 +23,9 @@ def unknown_flag(word: str, known: Sequence[str]) -> str:
     flag = word.partition("=")[0]
     near = [name for name in known if name.startswith(flag if flag.startswith("--") else f"-{flag}")]
     near = near if len(near) == 1 else get_close_matches(flag, known, 1, _LEAST_LIKENESS)
-    return f"there is no {flag}; " + (f"did you mean {near[0]}?" if near else "--help lists all flags")
+    return f"there is no {flag}; " + (
+        f"did you mean {near[0]}?" if near else f"{command_line_of('run', '--help')} lists all flags"
+    )
 
 
 def refuse_source_behind(flag: str, words: Sequence[str | None]) -> None:

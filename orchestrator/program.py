@@ -1,19 +1,27 @@
-"""The names of the command, as its user typed it, and of its Python, for help and advice to be pasted."""
+"""The name of the program, as its user typed it, for help and advice to be pasted."""
 
 from __future__ import annotations
 
 import os
 import shlex
-import shutil
 import sys
 from pathlib import Path
 
 from orchestrator.credentials import mask
 
-__all__ = ["command_line_of", "program_name", "python_name"]
+__all__ = ["EXAMPLES", "command_line_of", "program_name"]
 
 #: Set by scripts/run to the path by which it was called.
 _VARIABLE = "MLBS_COMMAND"
+
+#: What the help begins or ends with.
+EXAMPLES = """\
+examples:
+  {program} street.mp4                     one video; results in street-objects, beside it
+  {program} clips/ rtsp://host/stream      each video of a folder, and a camera; results in out
+  {program} demo --max-frames 30           the beginning of a built-in scene
+
+"""
 
 
 def program_name() -> str:
@@ -27,14 +35,3 @@ def program_name() -> str:
 def command_line_of(*words: str) -> str:
     """Write the command with these arguments so that a shell takes it as it is meant, without credentials."""
     return f"{program_name()} {shlex.join(map(mask, words))}"
-
-
-def python_name() -> str:
-    """Return the word that starts this Python from here."""
-    if (found := shutil.which("python")) is not None and Path(found) == Path(sys.executable):
-        return "python"
-    executable = Path(sys.executable)
-    if script := os.environ.get(_VARIABLE):  # which shows the help by any Python until its own is there
-        executable = Path(script).absolute().parents[1] / ".venv/bin/python"
-    below = executable.is_relative_to(Path.cwd() / ".venv")
-    return shlex.quote(os.path.relpath(executable) if below else str(executable))

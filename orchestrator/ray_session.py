@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError, MlbsError
@@ -234,8 +234,6 @@ def joined_ray(address: str | None, head: RayHead | None) -> Iterator[None]:
             exit_if_signalled()
         except Exception as error:
             raise _start_failure(address, error) from error
-        if address is not None:
-            session.callback(_withdraw_demand)
         yield
 
 
@@ -270,14 +268,6 @@ def _folder_for_processes() -> Iterator[None]:
         yield
     finally:
         os.chdir(before)
-
-
-def _withdraw_demand() -> None:
-    """Tell the cluster's autoscaler that no more nodes are needed; it would remember what streams needed."""
-    from ray.autoscaler.sdk import request_resources
-
-    with suppress(Exception):  # such as a cluster that has ended
-        request_resources(bundles=[])
 
 
 def _refuse_unreachable(address: str) -> None:

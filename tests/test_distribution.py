@@ -102,7 +102,7 @@ def test_the_sdist_holds_the_tests_and_the_scripts(built: Path) -> None:
 @pytest.mark.long
 def test_the_installed_command_reads_nothing_of_the_repository(installed: Path, tmp_path: Path) -> None:
     asked = command(installed, tmp_path, "--help")
-    assert asked.stdout.splitlines()[1].startswith("  mlbs-actors street.mp4")
+    assert asked.stdout.startswith("usage: mlbs-actors COMMAND ...")
     refused = command(installed, tmp_path, "none.mp4")
     assert (refused.returncode, refused.stderr) == (
         2,

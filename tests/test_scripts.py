@@ -49,8 +49,14 @@ def test_every_script_shows_its_help_where_nothing_is_installed(clone: Path, scr
     assert not (clone / ".venv").exists()
 
 
-def test_the_help_of_the_main_script_names_the_python_that_it_will_install(clone: Path) -> None:
-    assert f"{clone / '.venv/bin/python'} -m orchestrator.export" in said(clone, "run", "--help")
+@pytest.mark.parametrize("command", ["run", "demo", "export", "report", "evaluate", "disk-use"])
+def test_the_main_script_shows_the_help_of_a_command_where_nothing_is_installed(
+    clone: Path, command: str
+) -> None:
+    shown = said(clone, "run", command, "--help")
+    assert "usage: " in shown
+    assert f"{clone / 'scripts/run'} " in shown
+    assert not (clone / ".venv").exists()
 
 
 def test_the_main_script_tells_the_version_where_nothing_is_installed(clone: Path) -> None:

@@ -6,6 +6,7 @@ node's pool creates its layers.
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -110,10 +111,12 @@ class Node:
         self._beside_driver = self._node == drivers
         self._parts = parts or EngineParts()
         self._policy = policy or PoolPolicy()
+        self._mark = secrets.token_hex(3)  # keeps names apart from those of other drivers and nodes
+        self._shared = count(1)
         self._pool = self._new_pool()
-        self._sinks = [spawn(SinkActor, node=self._node) for _ in range(sinks_of(cores_of(self._node)))]
+        self._sinks = [self._new_sink() for _ in range(sinks_of(cores_of(self._node)))]
         self._burst_limiter = BurstLimiter(max(1, cores_of(self._node) // _CORES_A_BURST), _BURST_SECONDS)
-        self._runs = count(1)
+        self._run = 0
         self._standby: list[_Standby] = []
         self._preparing = Lock()
         self._repairing = Lock()
@@ -132,7 +135,7 @@ class Node:
         reservation : Reservation, optional
             A granted one of this node, for the stream; it must last as long as its reader.
         """
-        run = next(self._runs)
+        run, (coordinator, segmenter) = self._take_standby(spec.name)
         before = before if isinstance(before, StreamActors) else None
         reader = None if before is None else before.living_reader
         if before is None or reader is None:
@@ -141,12 +144,11 @@ class Node:
                 spec.open_reader,
                 node=self._node,
                 reservation=reservation,
-                name=f"{spec.name}, start {run} on {self._node[:8]}",
+                name=self._named(f"{spec.name}, reader", run),
             )
         elif before.reopened_by is not None:
             # The coordinator may have been lost before it could pass this on.
             reader.reopen.remote(before.reopened_by)
-        coordinator, segmenter = self._take_standby()
         sink = self._sinks[run % len(self._sinks)]
         return StreamActors(
             spec,
@@ -174,24 +176,28 @@ class Node:
                 return False
             if len(self._standby) == len(_STANDBY):
                 return True
-            self._standby.append(self._start_standby(awaited=False))
+            self._standby.append(self._start_standby())
             return False
 
-    def _take_standby(self) -> list[Handle]:
-        """Return the processes of a new stream: the standby ones that are ready, and new ones."""
+    def _take_standby(self, stream: str) -> tuple[int, list[Handle]]:
+        """Return a new stream's number and processes: the standby ones that are ready, and new ones."""
         with self._preparing:
             # Only the last one started can be unready.
             if self._standby and not self._standby[-1].is_ready():
                 kill(self._standby.pop().handle)
             while len(self._standby) < len(_STANDBY):
-                self._standby.append(self._start_standby(awaited=True))
+                self._standby.append(self._start_standby(stream))
             taken, self._standby = [process.handle for process in self._standby], []
-        return taken
+            self._run += 1
+            return self._run, taken
 
-    def _start_standby(self, *, awaited: bool) -> _Standby:
+    def _start_standby(self, stream: str | None = None) -> _Standby:
+        """Start a process of the next stream, which waits for it if it is known."""
         kind = _STANDBY[len(self._standby)]
         warm = self._parts.warm_coordinator if kind is CoordinatorActor else self._parts.warm_segmenter
-        return _Standby(spawn_standby(kind, warm, awaited=awaited, node=self._node))
+        part = "coordinator" if kind is CoordinatorActor else "segmenter"
+        name = self._named(part if stream is None else f"{stream}, {part}", self._run + 1)
+        return _Standby(spawn_standby(kind, warm, awaited=stream is not None, node=self._node, name=name))
 
     def repair(self) -> None:
         """Replace the pool and the sinks if they are lost; their streams must be started again."""
@@ -202,7 +208,7 @@ class Node:
             for number, sink in enumerate(self._sinks):
                 if not _answers(sink):
                     end([sink])
-                    self._sinks[number] = spawn(SinkActor, node=self._node)
+                    self._sinks[number] = self._new_sink()
 
     def census(self) -> PoolCensus:
         """Count the node's layer processes."""
@@ -220,7 +226,15 @@ class Node:
         end([self._pool, *self._sinks, *(process.handle for process in self._standby)])
 
     def _new_pool(self) -> Handle:
-        return spawn(PoolActor, self._parts, self._policy, node=self._node)
+        name = self._named("pool", next(self._shared))
+        return spawn(PoolActor, self._parts, self._policy, node=self._node, name=name)
+
+    def _new_sink(self) -> Handle:
+        return spawn(SinkActor, node=self._node, name=self._named("sink", next(self._shared)))
+
+    def _named(self, part: str, number: int) -> str:
+        """Name a process for Ray's lists: the reader, coordinator and segmenter of a stream by one number."""
+        return f"{part} {number} ({self._mark})"
 
 
 def _answers(actor: Handle) -> bool:

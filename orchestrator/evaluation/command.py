@@ -29,7 +29,7 @@ from orchestrator.evaluation.figures import (
     results_as_json,
 )
 from orchestrator.evaluation.labelling import run_label_maps, run_scores
-from orchestrator.evaluation.options import evaluation_parser
+from orchestrator.evaluation.options import SCRIPT, evaluation_parser
 from orchestrator.evaluation.paper_tables import paper_sequences, paper_tables
 from orchestrator.evaluation.reliability import reliability_table
 from orchestrator.evaluation.run_pictures import RunSequence
@@ -50,13 +50,15 @@ from orchestrator.run.versions import installed_versions
 __all__ = ["main"]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, program: str = SCRIPT) -> int:
     """Run the command.
 
     Parameters
     ----------
     arguments : sequence of str or None
         Without the program's name; None: those of this process.
+    program : str
+        What its user has typed before them.
 
     Returns
     -------
@@ -64,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0: all scored; 1: some sequence could not be scored, or not all of its frames with truth had a mask;
         2: wrong usage.
     """
-    parser = evaluation_parser()
+    parser = evaluation_parser(program)
     options = parser.parse_args(arguments)
     unknown = [name for name in options.columns if name not in COLUMNS]
     if unknown:

@@ -7,7 +7,10 @@ from pathlib import Path
 
 from orchestrator.option_values import LEAST_SIDE
 
-__all__ = ["DATA_VARIABLE", "evaluation_parser"]
+__all__ = ["DATA_VARIABLE", "SCRIPT", "evaluation_parser"]
+
+#: What starts the command in this folder.
+SCRIPT = "scripts/evaluate"
 
 #: Environment variable that names the default folder of the sequences.
 DATA_VARIABLE = "MLBS_DATA"
@@ -50,11 +53,11 @@ matter most:
 """
 
 
-def evaluation_parser() -> argparse.ArgumentParser:
-    """Return the parser of ``scripts/evaluate``."""
+def evaluation_parser(program: str = SCRIPT) -> argparse.ArgumentParser:
+    """Return the parser of the command, which its user has started by these words."""
     parser = argparse.ArgumentParser(
-        prog="scripts/evaluate",
-        description=_DESCRIPTION,
+        prog=program,
+        description=_DESCRIPTION.replace(SCRIPT, program),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument

@@ -62,6 +62,8 @@ class _Mark:
         What tells the rules by which they were made from others; an earlier version's have none.
     counts : CountState
         What rows and events have come to.
+    asked : mapping of str to object, optional
+        What these rules and the other settings were.
     """
 
     rows: int
@@ -70,6 +72,7 @@ class _Mark:
     state: EventState = field(default_factory=EventState)
     rules: str | None = None
     counts: CountState = field(default_factory=CountState)
+    asked: dict[str, Any] | None = None
 
 
 _STATE = TypeAdapter(EventState)
@@ -141,6 +144,8 @@ class EventFile:
         self._events, self._began = mark.events, mark.began
         self._happenings = Happenings(rules, mark.state)
         self._digest = rules.digest
+        self._asked = mark.asked if mark.rows else rules.described()
+        self._was: dict[str, Any] | None = None
         self._tally = Tally(mark.counts)  # of the steps that count
         self._followed = _STATE.dump_json(mark.state)
         self._settled = _Step(self._mark(), self._followed)  # the last of them
@@ -176,6 +181,7 @@ class EventFile:
     def configure(self, rules: EventRules) -> None:
         """Follow other rules after the rows so far."""
         self._digest = rules.digest
+        self._was, self._asked = self._asked, rules.described()
         self._take(self._happenings.configured(rules))
 
     def taken_at(self, pts: float) -> float | None:
@@ -260,7 +266,7 @@ class EventFile:
     def _mark(self) -> _Mark:
         """Return where the events continue now, without what they follow and have come to."""
         state = replace(self.state, shown=None, objects={}, rules={}, faults=[])
-        return _Mark(state.rows, self._events, self._began, state, self._digest)
+        return _Mark(state.rows, self._events, self._began, state, self._digest, asked=self._asked)
 
     def _pictured(self, said: Sequence[Event], row: FrameRow) -> dict[int, set[str]]:
         pictured: dict[int, set[str]] = {}
@@ -275,6 +281,7 @@ class EventFile:
     def _described(self, event: Event, picture: str | None) -> dict[str, Any]:
         """Return the newest event as its line has it."""
         identity = event_id(self._stream, event)
+        was, now = (self._was, self._asked) if event.kind == "configured" else (None, None)
         return {
             "id": identity,
             "stream": self._stream,
@@ -294,6 +301,8 @@ class EventFile:
             "seconds": _rounded(event.seconds),
             "reason": event.reason,
             "replaced_by": event.replaced_by,
+            "was": _other_than(now, was),
+            "now": _other_than(was, now),
             "picture": picture,
             "clip": clip_name(event.frame, identity) if event.kind in self._happenings.rules.clips else None,
             "number": self._events,
@@ -309,6 +318,14 @@ def event_id(stream: str, event: Event) -> str:
     name = event.reason if event.kind == "configured" else event.rule
     parts = (stream, event.frame, f"{event.pts:.3f}", event.kind, event.layer, event.zone, name)
     return "/".join(str(part) for part in parts if part is not None)
+
+
+def _other_than(others: dict[str, Any] | None, settings: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return the settings that are other ones there, or are not there; None if one of both is not known."""
+    if others is None or settings is None:
+        return None
+    missing = object()
+    return {name: value for name, value in settings.items() if others.get(name, missing) != value}
 
 
 def committed_events(folder: Path) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -117,6 +118,8 @@ class EventRules:
         What tells all else that the record depends on from other settings.
     clips : frozenset of str
         Kinds of events that get a clip.
+    told : mapping of str to object
+        Those settings by name, as JSON has them, for who reads what has changed.
     """
 
     zones: tuple[Zone, ...] = ()
@@ -125,13 +128,27 @@ class EventRules:
     rules: tuple[Rule, ...] = ()
     settings: str = ""
     clips: frozenset[EventKind] = frozenset()
+    told: Mapping[str, Any] = field(default_factory=dict)
+
+    def described(self) -> dict[str, Any]:
+        """Return all that they say, by name, as JSON has it."""
+        given: dict[str, Any] = _RULES.dump_python(
+            self, mode="json", include={"minimum", "zones", "rules"}, exclude_defaults=True
+        )
+        named = {
+            f"{key}.{one['name']}": {name: value for name, value in one.items() if name != "name"}
+            for key in ("zones", "rules")
+            for one in given.get(key, ())
+        }
+        minimum = {f"minimum.{name}": value for name, value in given.get("minimum", {}).items()}
+        return {**self.told, **minimum, **named}
 
     @property
     def digest(self) -> str:
         """Sixteen hexadecimal digits that tell them from others which say something else to be an event."""
         # Records of before there were these have the digests of what is left without them.
         absent = {key for key in ("rules", "settings") if not getattr(self, key)}
-        text = _RULES.dump_json(self, exclude={"clips"} | absent)
+        text = _RULES.dump_json(self, exclude={"clips", "told"} | absent)
         return hashlib.sha256(text).hexdigest()[:16]
 
     @property

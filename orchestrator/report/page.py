@@ -22,6 +22,7 @@ from orchestrator.report import charts
 from orchestrator.report.count_charts import heat_chart, place_charts
 from orchestrator.report.history import LONG_SECONDS, MOST_FRAMES, StreamHistory, frame_ranges, read_history
 from orchestrator.report.pictures import StripPicture, overlay_strip
+from orchestrator.rows.score_words import SCORE_WORDS, score_word
 from orchestrator.sinks.object_files import OBJECTS_CSV
 from orchestrator.sinks.object_list import SeenObject
 from orchestrator.sinks.overlay import overlays, stream_remarks
@@ -105,6 +106,8 @@ def render_report(folder: Path) -> str:
     environment.globals |= {
         "charts": charts,
         "count_of": count_of,
+        "score_word": score_word,
+        "score_words": SCORE_WORDS,
         "stage_colours": _stage_colours,
         "long_time": f"{LONG_SECONDS:g} s or longer",
         "objects_csv": OBJECTS_CSV,

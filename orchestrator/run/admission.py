@@ -83,15 +83,19 @@ class Verdict:
 Admission: TypeAlias = Callable[[Sequence[StreamState], Collection[str]], Verdict]
 
 
-def by_count(most: int | Callable[[int], int], kind: str = "places") -> Admission:
+def _words_on_places(most: int) -> str:
+    return f"one of the {most} places, which are taken"
+
+
+def by_count(most: int | Callable[[int], int], words: Callable[[int], str] = _words_on_places) -> Admission:
     """Admit so many streams at once, whatever they take.
 
     Parameters
     ----------
     most : int or callable
         A callable is called repeatedly, with the number of streams that wait.
-    kind : str
-        What there are so many of, for the user.
+    words : callable
+        Says what another stream waits for when so many, maybe none, are all.
     """
 
     def admit(states: Sequence[StreamState], ending: Collection[str]) -> Verdict:
@@ -101,7 +105,7 @@ def by_count(most: int | Callable[[int], int], kind: str = "places") -> Admissio
             return Verdict()
         if len(_running(states, ending)) < limit:
             return Verdict(waiting[0])
-        reason = f"one of the {limit} {kind}, which are taken" if limit else f"{kind}: there are none yet"
+        reason = words(limit)
         return Verdict(None, reason, reason)
 
     return admit

@@ -332,6 +332,7 @@ class Driver:
     def _drain(self) -> None:
         """Let the bursts under way end, then label and commit what was read."""
         self._is_ending.set()
+        self._show()  # that this is the end
         while self._bursts:
             self._await_next()
         drained = [one for one in self._streams.values() if one.is_at_work]

@@ -19,7 +19,7 @@ from typing import Any
 
 from mlbs_actors.errors import SinkError
 from mlbs_actors.record.commits import Commit, permanent, read_commits
-from orchestrator.disk_use import bytes_by_kind
+from orchestrator.disk_use.measured import bytes_by_kind
 from orchestrator.run.retention_limits import Keep
 from orchestrator.run.stream_state import StreamState
 from orchestrator.storage.commit_log import forget_segment

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import shutil
 import sqlite3
 import sys
@@ -49,6 +48,7 @@ from orchestrator.run.admission import (
     places_by_memory,
 )
 from orchestrator.run.argument_streams import DEMO
+from orchestrator.run.closing_words import closing_words
 from orchestrator.run.driver import Driver, Observer
 from orchestrator.run.edit_zones import ZoneFiles
 from orchestrator.run.expected_time import words_on_expected_time
@@ -68,19 +68,14 @@ from orchestrator.run.stream_list import cameras_file, refuse_if_all
 from orchestrator.run.stream_state import StreamState, exit_code, stopped, with_record
 from orchestrator.run.versions import installed_versions
 from orchestrator.run.whole_overlays import make_all_whole
-from orchestrator.sinks.overlay import overlays, stream_remarks
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.sources.survey import SourceContent, surveying
 from orchestrator.storage.durable_files import replace_file
-from orchestrator.storage.segments import segment_folders
 
-__all__ = ["run", "what_to_look_at"]
+__all__ = ["run"]
 
 #: How long files are looked into before streams start, s; faults of the rest are found when their turn comes.
 _SURVEY_SECONDS = 5.0
-
-#: What a user who limits the streams is told that they wait for.
-_PLACES = "places (--places)"
 
 
 def run(
@@ -219,7 +214,7 @@ def run(
             replace_file(folder.path / "report.html", render_report(folder.path).encode())
         except OSError as error:
             raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
-    log.say(_closing_words(folder, states, arguments))
+    log.say(closing_words(folder, states, arguments))
     return exit_status
 
 
@@ -297,6 +292,7 @@ def _drive(
         Interruption(log.say) as interruption,
     ):
         log.on_reader_gone = interruption.ask
+        status.stopping = lambda: interruption.signal_number is not None
         progress = progress_for(output, log)
         try:
             host: Node | Cluster
@@ -332,11 +328,25 @@ def _admission(host: Node | Cluster, memory: NodeMemory, most: int | None) -> Ad
     """Return what decides which streams may run; ``most`` are those that the user allows."""
     if isinstance(host, Cluster):
         if most is None:
-            return by_count(host.places, "places of the nodes")
-        return by_count(lambda waiting: min(most, host.places(waiting)), _PLACES)
+            return by_count(host.places, words=_words_on_nodes)
+        return by_count(
+            lambda waiting: min(most, host.places(waiting)),
+            words=lambda taken: _words_on_nodes(taken) if taken < most else _words_on_places(taken),
+        )
     if most is None:
         return by_load(cores(), places(memory, cores()), node_memory)
-    return by_count(most, _PLACES)
+    return by_count(most, words=_words_on_places)
+
+
+def _words_on_places(most: int) -> str:
+    return f"one of the {most} places (--places), which are taken"
+
+
+def _words_on_nodes(running: int) -> str:
+    """Say what a stream waits for on a cluster, whose nodes have places only as far as Ray has room."""
+    if not running:
+        return "room on a node: none takes a stream now"
+    return f"room on a node: {count_of(running, 'stream')} have what Ray has free for them"
 
 
 def _most_at_once(
@@ -349,38 +359,3 @@ def _most_at_once(
         most = places_by_memory(memory)
     most = arguments.places or most
     return most if arguments.watch else min(most, len(due))  # only a watched list can get more
-
-
-def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: Arguments) -> str:
-    done = sum(state.state == "done" for state in states)
-    lines = [f"{done} of {count_of(len(states), 'stream')} complete. Results: {folder.path}"]
-    lines += [
-        f"  {f'line {state.line}, ' if state.line else ''}{state.name} ({state.state}): {state.error}"
-        for state in states
-        if state.error is not None
-    ]
-    lines += [f"  {state.name}: {note}" for state in states if (note := state.memory_note) is not None]
-    lines += [
-        f"  {state.name}: {remark}"
-        for state in states
-        for remark in stream_remarks(folder.stream(state.name))
-    ]
-    begun = [state.name for state in states if state.committed]
-    if begun:
-        lines.append(f"Look at {what_to_look_at(folder.stream(begun[0]), arguments.save)}")
-        lines.append(f"and at {folder.path / 'report.html'}")
-    if any(state.interrupted for state in states):
-        given = f"--resume --output {shlex.quote(str(folder.path))}"
-        lines.append(f"To continue what was interrupted, give the same command with {given}.")
-    return "\n".join(lines)
-
-
-def what_to_look_at(stream: Path, save: frozenset[str]) -> str:
-    """Return the results of a stream that show its labels best: the videos, or the masks without any."""
-    videos = overlays(stream)
-    if not videos:
-        in_archives = stream.is_dir() and segment_folders(stream)
-        return str(stream / "masks" if "masks" in save and not in_archives else stream)
-    # A resumed run has one for each start, that of a camera one for each segment.
-    parts = stream / "overlay*.mp4" if videos[0][1].parent == stream else stream / "*/overlay*.mp4"
-    return f"{videos[0][1]}" if len(videos) == 1 else f"{parts} ({len(videos)} parts)"

@@ -216,6 +216,12 @@ class StatusFile:
         Returns what :class:`orchestrator.run.retention.Retention` has done; None if all is kept.
     backlogs : callable, optional
         Returns what the targets of events have not acknowledged.
+
+    Attributes
+    ----------
+    stopping : callable
+        Whether the run has been told to end. That is written at once, as the run may be killed while it
+        finishes what was read.
     """
 
     def __init__(
@@ -225,11 +231,13 @@ class StatusFile:
         kept: Callable[[], Mapping[str, Any] | None] = lambda: None,
         backlogs: Callable[[], Sequence[Backlog]] = list,
     ) -> None:
+        self.stopping: Callable[[], bool] = lambda: False
         self._path = path
         self._kept = kept
         self._backlogs = backlogs
         self._clock = clock
         self._written_at: float | None = None
+        self._written_as_stopping = False
 
     def update(self, states: Sequence[StreamState]) -> None:
         """Write the states, not more often than twice a second.
@@ -237,7 +245,8 @@ class StatusFile:
         A full or lost disk does not end the run here: the streams' own records report it.
         """
         now = self._clock()
-        if self._written_at is not None and now - self._written_at < _STATUS_SECONDS:
+        is_early = self._written_at is not None and now - self._written_at < _STATUS_SECONDS
+        if is_early and self.stopping() == self._written_as_stopping:
             return
         self._written_at = now
         try:
@@ -254,11 +263,12 @@ class StatusFile:
         for state in states:
             figures = state.figures()
             streams[figures.pop("name")] = figures
-        now, ended = datetime.now(timezone.utc), exit_status is not None
+        now, over = datetime.now(timezone.utc), exit_status is not None
+        self._written_as_stopping = self.stopping()
         status = {
             "updated": _iso(now),
-            "alive_until": None if ended else _iso(now + timedelta(seconds=_ALIVE_SECONDS)),
-            "ended": ended,
+            "alive_until": None if over else _iso(now + timedelta(seconds=_ALIVE_SECONDS)),
+            "ended": over or self._written_as_stopping,
             "exit_status": exit_status,
             "waiting": sum(state.state == "waiting" for state in states),
             "running": sum(state.state != "waiting" and state.state not in ENDED for state in states),

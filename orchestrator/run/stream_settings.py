@@ -107,7 +107,18 @@ def settings_of(stream: ListedStream, arguments: Arguments, config: Config) -> S
     settings = StreamSettings(**values)
     told = {key: value for key, value in settings.described().items() if key in _TOLD}
     digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
-    return replace(settings, rules=replace(rules, settings=digest))
+    del told["config"]
+    told |= _named(config.model_dump(mode="json", exclude_defaults=True))
+    return replace(settings, rules=replace(rules, settings=digest, told=told))
+
+
+def _named(parameters: Mapping[str, Any], section: str = "") -> dict[str, Any]:
+    """Return parameters by the names that ``--set`` has for them."""
+    named: dict[str, Any] = {}
+    for key, value in parameters.items():
+        name = f"{section}.{key}" if section else key
+        named |= _named(value, name) if isinstance(value, Mapping) else {name: value}
+    return named
 
 
 def changes_between(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Effect]:

@@ -311,7 +311,7 @@ def test_results_go_beside_a_single_source_else_into_out_and_never_over_others(
         (["--out", "x", "a.mp4"], "there is no --out; did you mean --output?"),
         (["--frames=3"], "did you mean --max-frames?"),
         (["-o", "x"], "did you mean --output?"),
-        (["--bogus"], "there is no --bogus; --help lists all flags"),
+        (["--bogus"], "run --help lists all flags"),
         (["--", "-a.mp4"], "to name the file write ./-a.mp4"),
     ],
 )

@@ -49,7 +49,7 @@ def test_a_checkout_that_is_not_installed_is_found_from_its_own_folder() -> None
 
 @pytest.mark.parametrize(
     "module",
-    ["command", "disk_use", "evaluation.command", "export.__main__", "report.__main__", "sources.survey"],
+    ["command", "disk_use.measured", "evaluation.command", "export.command", "report.page", "sources.survey"],
 )
 def test_ray_is_imported_only_to_run_streams(module: str) -> None:
     code = f"import sys, orchestrator.{module}; sys.exit('ray' in sys.modules)"

@@ -23,6 +23,7 @@ from typing import Any
 import ray
 from ray.exceptions import GetTimeoutError, RayError
 
+from mlbs_actors.actors.node.demand import Bundle, Demand
 from mlbs_actors.actors.node.failures import cause_of, last_line
 from mlbs_actors.actors.node.host import Reference, ask
 from mlbs_actors.actors.node.pool import PoolPolicy
@@ -112,11 +113,11 @@ class Cluster:
         self._parts = parts
         self._policy = policy or PoolPolicy()
         self._own = here()
+        self._demand = Demand(self._own)
         self._members: dict[str, _Member] = {}
         self._asked: dict[str, Reference] = {}
         self._seen: set[str] = set()
         self._refused = 0
-        self._demanded = 0  # streams that the autoscaler knows of
         self._shortage_known = False
         self._looked = float("-inf")
         self._changing = Lock()
@@ -140,7 +141,7 @@ class Cluster:
                 elif member.next is None:
                     member.next = Reservation(member.share, node)
             running = sum(member.running for member in self._members.values())
-            self._demand(running + waiting)
+            self._demand.tell(self._needed(running + waiting))
             ready = sum(member.is_ready for member in self._members.values())
             stuck = waiting > 0 and not ready
             self._shortage_known = stuck and (self._shortage_known or self._report_shortage())
@@ -184,7 +185,8 @@ class Cluster:
             member.node.repair()
 
     def close(self) -> None:
-        """End the remaining processes on all nodes."""
+        """End the remaining processes on all nodes, and need no more of them."""
+        self._demand.end()
         for member in self._members.values():
             self._drop_next(member)
             member.node.close()
@@ -239,15 +241,10 @@ class Cluster:
             member.next.release()
             member.next = None
 
-    def _demand(self, streams: int) -> None:
-        """Tell Ray's autoscaler how many streams there should be room for; it remembers that."""
-        if streams != self._demanded:
-            from ray.autoscaler.sdk import request_resources  # slow to import, for clusters only
-
-            self._demanded = streams
-            # By whole CPUs: Ray takes whole numbers only.
-            a_cpu = {"CPU": 1, "memory": round(self._share.memory / self._share.cpus)}
-            request_resources(bundles=[a_cpu] * ceil(streams * self._share.cpus))
+    def _needed(self, streams: int) -> list[Bundle]:
+        """Return what there should be room for, by whole CPUs: Ray's autoscaler takes whole numbers only."""
+        a_cpu: Bundle = {"CPU": 1, "memory": round(self._share.memory / self._share.cpus)}
+        return [a_cpu] * ceil(streams * self._share.cpus)
 
     def _report_shortage(self) -> bool:
         """Report that streams wait for nodes or for other jobs; return False if they do not, or not yet."""

@@ -8,10 +8,12 @@ stream one after the other, and none that would not fit into the node's memory.
 from __future__ import annotations
 
 import asyncio
+import secrets
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import TypeVar
 
 from ray.exceptions import RayError
@@ -107,6 +109,8 @@ class PoolActor:
         self._parts = parts
         self._policy = policy
         self._node = here()
+        self._mark = secrets.token_hex(3)  # keeps the names of processes apart from those of other pools
+        self._numbers = count(1)
         self._idle: list[_Process] = []
         self._busy: dict[int, dict[str, _Process]] = {}  # by stream and process
         self._grown: set[int] = set()  # streams that have all they need but layer processes
@@ -239,7 +243,8 @@ class PoolActor:
         return sum(not process.is_ready for process in self._idle)
 
     def _start(self) -> _Process:
-        handle = spawn(LayerActor, self._parts, node=self._node)
+        name = f"layer process {next(self._numbers)} ({self._mark})"
+        handle = spawn(LayerActor, self._parts, node=self._node, name=name)
         ready = asyncio.ensure_future(_answered(handle.process_id.remote()))
         process = _Process(handle, ready, time.monotonic())
         self._idle.append(process)

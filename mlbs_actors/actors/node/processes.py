@@ -85,7 +85,9 @@ def spawn(
     return _host.spawn(kind, arguments, node=node, reservation=reservation, name=name)
 
 
-def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node: str) -> Handle:
+def spawn_standby(
+    kind: type, warm: Callable[[], object], *, awaited: bool, node: str, name: str | None = None
+) -> Handle:
     """Start an actor's process before its arguments are known; return at once.
 
     Parameters
@@ -97,6 +99,8 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
     awaited : bool
         Whether somebody waits for the process; else it has low priority.
     node : str
+    name : str, optional
+        As for :func:`spawn`.
 
     Returns
     -------
@@ -114,7 +118,8 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
     def become(self: object, *arguments: object, **after: object) -> None:
         kind.__init__(self, *arguments)  # type: ignore[misc]
 
-    return spawn(type(kind.__name__, (kind,), {"__init__": prepare, "become": become}), node=node)
+    empty = type(kind.__name__, (kind,), {"__init__": prepare, "become": become})
+    return spawn(empty, node=node, name=name)
 
 
 def get(reference: Reference, timeout: float | None = None) -> Any:

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from orchestrator.clips.shelf import ClipShelf
-from orchestrator.disk_use import bytes_by_kind
+from orchestrator.disk_use.measured import bytes_by_kind
 
 
 def clip(run: Path, stream: str, number: int, size: int = 100) -> Path:

@@ -71,6 +71,8 @@ def test_a_line_holds_what_happened(whole: bytes) -> None:
         "seconds": 0.6,
         "reason": None,
         "replaced_by": None,
+        "was": None,
+        "now": None,
         "picture": "events/00000008-3.jpg",
         "clip": None,
         "number": 3,
@@ -190,6 +192,9 @@ def test_a_record_that_is_opened_with_other_zones_follows_them_and_says_so(tmp_p
     write(again, 14, 26)
     said = lines(tmp_path)[len(before) :]
     assert (said[0]["kind"], said[0]["frame"], said[0]["time"]) == ("configured", 13, 1.3)
+    (was,), (now,) = said[0]["was"].items(), said[0]["now"].items()
+    assert (was[0], now[0]) == ("zones.middle", f"zones.{name}")
+    assert (was[1]["polygon"][0], now[1]["polygon"]) == ([10, 0], [list(point) for point in RIGHT])
     left = ("left", 13, "middle", "the zone is gone") if name == "right" else ("left", 14, "middle", None)
     assert in_zones(said) == [left, ("entered", 20, name, None)]
     # Killed before a commit, it says the same again; afterwards nothing more of it.
@@ -220,6 +225,26 @@ def test_a_record_follows_other_zones_in_the_middle_and_goes_on_by_them_after_a_
     kept = lines(tmp_path)
     assert kept == said[: len(kept)]
     assert "configured" in {event["kind"] for event in kept}
+
+
+def test_a_reader_of_events_sees_which_settings_have_changed_and_what_they_were(tmp_path: Path) -> None:
+    asked = [
+        replace(RULES, settings=digest, told=told)
+        for digest, told in (
+            ("a", {"max_side": None, "save": ["masks"], "layers.lookahead": 3}),
+            ("b", {"max_side": 960, "save": ["masks"]}),
+            ("c", {"max_side": 960, "save": ["masks", "parquet"]}),
+        )
+    ]
+    one = record(tmp_path, live=True, rules=asked[0])
+    write(one, 0, 14)
+    one.configure(asked[1])
+    write(one, 14, 20)
+    assert one.keep(bare_snapshot(one, 20))
+    write(record(tmp_path, live=True, rules=asked[2]), 20, 30)
+    first, second = [event for event in lines(tmp_path) if event["kind"] == "configured"]
+    assert (first["was"], first["now"]) == ({"max_side": None, "layers.lookahead": 3}, {"max_side": 960})
+    assert (second["was"], second["now"]) == ({"save": ["masks"]}, {"save": ["masks", "parquet"]})
 
 
 @pytest.mark.parametrize("kept_before", [True, False])
@@ -290,6 +315,8 @@ def test_a_rule_has_a_line_of_its_own_with_a_picture(tmp_path: Path) -> None:
         "seconds": 0.5,
         "reason": None,
         "replaced_by": None,
+        "was": None,
+        "now": None,
         "picture": "events/00000011-3.jpg",
         "clip": None,
         "number": 0,

@@ -21,6 +21,7 @@ from record_fakes import HEIGHT, WIDTH, frame, segmentation, write_run, write_st
 from mlbs_actors.errors import MlbsError
 from mlbs_actors.messages import Array
 from orchestrator.export.__main__ import FORMATS, main
+from orchestrator.export.command import WRITERS
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.label_image import davis_palette
 from orchestrator.sinks.record import StreamRecord
@@ -70,6 +71,40 @@ def test_coco_is_read_by_pycocotools_and_gives_back_every_mask(run: Path, tmp_pa
         assert [image["seconds"] for image in images] == [image["frame_id"] / 10 for image in images]
     tracks = {(one["video_id"], one["track_id"]) for one in coco.dataset["annotations"]}
     assert tracks == {(1, 3), (1, 5), (2, 3), (2, 5)}
+
+
+@pytest.mark.parametrize(
+    ("places", "expected"),
+    [
+        (["pictures", "rtsp://cam/x"], ["img000.jpg", "gate/img000.png"]),
+        (["sites/north", "sites/south/*.jpg"], ["north/img000.jpg", "south/img000.jpg"]),
+        (["gone", "other"], ["yard/img000.png", "gate/img000.png"]),
+    ],
+)
+def test_an_image_of_coco_has_the_name_of_the_picture_that_it_is(
+    run: Path, tmp_path: Path, places: list[str], expected: list[str]
+) -> None:
+    for place in places:
+        folder = tmp_path / place.removesuffix("/*.jpg")
+        if ":" not in place and place != "gone":
+            folder.mkdir(parents=True)
+            for index in range(40):
+                (folder / ("x" * (place == "other") + f"img{index:03d}.jpg")).touch()
+    sources = [place if ":" in place else str(tmp_path / place) for place in places]
+    description = json.loads((run / "run.json").read_text())
+    description["sources"] = dict(zip(("yard", "gate"), sources, strict=True))
+    copied = tmp_path / "run"
+    copied.mkdir()
+    (copied / "run.json").write_text(json.dumps(description))
+    for name in description["sources"]:
+        (copied / name).symlink_to(run / name)
+    dataset = json.loads(export("coco", copied, tmp_path / "run.json").read_text())
+    names = {video["id"]: video["name"] for video in dataset["videos"]}
+    first = {names[one["video_id"]]: one["file_name"] for one in dataset["images"] if one["frame_id"] == 0}
+    assert [first["yard"], first["gate"]] == expected
+    assert len({one["file_name"] for one in dataset["images"]}) == len(dataset["images"])
+    tracks = {(one["track_id"], one["attributes"]["track_id"]) for one in dataset["annotations"]}
+    assert tracks == {(3, 3), (5, 5)}
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -199,7 +234,11 @@ def test_trackeval_reads_every_mask_and_id_and_finds_an_export_equal_to_itself(
     assert trackeval.metrics.HOTA({"PRINT_CONFIG": False}).eval_sequence(data)["HOTA"].min() == 1.0
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"overlay", "rerun"}))
+def test_the_help_names_every_format() -> None:
+    assert tuple(WRITERS) == FORMATS
+
+
+@pytest.mark.parametrize("name", sorted(WRITERS.keys() - {"overlay", "rerun"}))
 def test_only_what_is_committed_is_exported(run: Path, tmp_path: Path, name: str) -> None:
     for stream in ("yard", "gate"):
         (tmp_path / "run" / stream).mkdir(parents=True)

@@ -257,6 +257,7 @@ def test_objects_are_those_of_the_label_maps_and_the_long_ones_are_counted(tmp_p
         "0",
         "80",
         "0.50",
+        "fair",
         "moving",
         "5 in its place",
     ]
@@ -391,6 +392,8 @@ def test_the_report_of_a_run_that_goes_on_or_was_killed_says_so(run_folder: Path
     status = json.loads((tmp_path / "status.json").read_text())
     (tmp_path / "status.json").write_text(json.dumps(status | {"ended": False, "exit_status": None}))
     assert "not ended" in render_report(tmp_path)
+    (tmp_path / "status.json").write_text(json.dumps(status | {"ended": True, "exit_status": None}))
+    assert "told to end, but not over" in " ".join(render_report(tmp_path).split())
 
 
 @pytest.mark.long

@@ -47,6 +47,7 @@ def test_only_streams_with_processes_hold_places() -> None:
     assert by_count(3)(states, ["b"]).start == "c"
     assert by_count(2)(states, ["b"]).start is None  # its processes are not gone yet
     assert by_count(1)(states, ()).waits_for(states[2]) == "one of the 1 places, which are taken"
+    assert by_count(lambda _: 1, "room beside {}".format)(states, ()).waits_for(states[2]) == "room beside 1"
 
 
 def test_cameras_begin_as_many_as_files_and_more_follow_when_it_is_known_what_they_take() -> None:

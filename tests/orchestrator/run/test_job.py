@@ -64,6 +64,8 @@ def test_an_edited_file_of_zones_configures_the_streams_whose_rules_have_changed
     assert isinstance(rules, EventRules)
     assert (spec.name, rules.zones[0].name) == ("a", "drive")
     assert spec.open_sink.keywords["rules"] == rules
+    assert rules.told["max_side"] is None
+    assert rules.described().keys() >= {"max_side", "save", "zones.drive"}
     assert said == ["From now on for a: other zones or rules."]
     newest, description = newest_version(output, "zones"), read_description(output)
     assert newest is not None

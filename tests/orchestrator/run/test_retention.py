@@ -19,8 +19,8 @@ from mlbs_actors.record.commits import oldest_frame, read_commits
 from mlbs_actors.record.recorded_stream import recorded_stream
 from orchestrator.command import run_command
 from orchestrator.command_line import command_again, parse
-from orchestrator.disk_use import bytes_by_kind, stream_use
-from orchestrator.disk_use import main as disk_use
+from orchestrator.disk_use.__main__ import main as disk_use
+from orchestrator.disk_use.measured import bytes_by_kind, stream_use
 from orchestrator.events import carrier as carrier_module
 from orchestrator.events import delivery as delivery_module
 from orchestrator.events.delivery import Deliveries

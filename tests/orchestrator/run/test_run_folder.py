@@ -14,10 +14,11 @@ import pytest
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
+from orchestrator.command_line import parse
 from orchestrator.events.delivery import Backlog
 from orchestrator.options import recorded
+from orchestrator.run.closing_words import closing_words, what_to_look_at
 from orchestrator.run.listed_stream import ListedStream
-from orchestrator.run.run import what_to_look_at
 from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sources.address import parse_address
@@ -161,6 +162,26 @@ def test_the_status_file_is_not_written_more_often_than_twice_a_second(tmp_path:
         status.update([StreamState("yard", "running", read=read)])
         writings.append((tmp_path / "status.json").read_text())
     assert len(set(writings)) == 20
+
+
+def test_a_run_that_is_told_to_end_says_so_at_once_as_it_may_be_killed_before_its_end(tmp_path: Path) -> None:
+    now = [0.0]
+    status = StatusFile(tmp_path / "status.json", lambda: now[0])
+
+    def written() -> tuple[bool, object, bool]:
+        figures = json.loads((tmp_path / "status.json").read_text())
+        return figures["ended"], figures["exit_status"], figures["alive_until"] is not None
+
+    status.update(STATES)
+    assert written() == (False, None, True)
+    status.stopping = lambda: True
+    status.update(STATES)  # in the same half second
+    assert written() == (True, None, True)
+    (tmp_path / "status.json").write_text("{}")
+    status.update(STATES)  # once only
+    assert (tmp_path / "status.json").read_text() == "{}"
+    status.finish(STATES, 143)
+    assert written() == (True, 143, False)
 
 
 def test_a_status_that_cannot_be_written_stops_nothing_while_running_but_is_told_at_the_end(
@@ -326,3 +347,14 @@ def test_a_status_says_until_when_its_run_is_alive_also_when_nothing_changes(tmp
     assert sorted(set(alive)) == alive
     status.finish([StreamState("door", "done")], 0)
     assert json.loads((tmp_path / "status.json").read_text())["alive_until"] is None
+
+
+def test_a_camera_that_never_sent_a_picture_is_told_at_the_end(tmp_path: Path) -> None:
+    states = [
+        StreamState("gate", "done", read=9, committed=9, live=True),
+        StreamState("lane", "done", live=True),
+        StreamState("clip", "done"),
+    ]
+    arguments = parse(["--streams", "list.txt"])
+    _, *others = closing_words(RunFolder(tmp_path), states, arguments).splitlines()
+    assert [line for line in others if "no picture" in line] == ["  lane: no picture has come from it"]

@@ -1,19 +1,14 @@
-"""``python -m orchestrator.disk_use DIR``: how much of the disk a run's streams take, by frame and by day."""
+"""How much of the disk a run's streams take, by frame and by day."""
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
-import sys
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from mlbs_actors.errors import ConfigError
 from mlbs_actors.record.commits import read_commits
 from mlbs_actors.record.record_tables import read_table
 from orchestrator.clips.packet_ring import PACKETS
@@ -22,7 +17,7 @@ from orchestrator.events.scene import VIEWS
 from orchestrator.sinks.overlay import overlays
 from orchestrator.storage.snapshot_folder import SNAPSHOTS
 
-__all__ = ["KINDS", "StreamUse", "bytes_by_kind", "main", "stream_use"]
+__all__ = ["KINDS", "StreamUse", "bytes_by_kind", "stream_use"]
 
 #: What grows with the frames.
 KINDS = ("masks", "tables", "overlay", "background", "cutouts", "lists")
@@ -111,42 +106,3 @@ def stream_use(folder: Path) -> StreamUse | None:
         rate=float(labelled.sum() / max(steps.sum(), 1e-9)),
         per_frame=per_frame,
     )
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0 printed, 2 no run there."""
-    parser = argparse.ArgumentParser(
-        prog="python -m orchestrator.disk_use",
-        description="Print how many bytes a frame each stream of a run takes, and how many GB that is a day.",
-        allow_abbrev=False,
-    )
-    parser.add_argument("folder", type=Path, metavar="DIR", help="the run's output folder")
-    parser.add_argument("--rate", type=float, metavar="N", help="of N frames a second, instead of its own")
-    given = parser.parse_args(argv)
-    try:
-        names = list(_sources(given.folder))
-    except ConfigError as error:
-        print(error, file=sys.stderr)
-        return 2
-    print(f"{'stream':16} {'size':>11} {'frames/s':>8} {'GB a day':>8}  bytes a frame")
-    for name in names:
-        use = stream_use(given.folder / name)
-        if use is None:
-            print(f"{name:16} no tables with two label maps to measure by")
-            continue
-        rate = use.rate if given.rate is None else given.rate
-        kinds = ", ".join(f"{kind} {size:,.0f}" for kind, size in use.per_frame.items())
-        size = f"{use.width}×{use.height}"
-        print(f"{name:16} {size:>11} {rate:8.2f} {use.per_day(rate) / 1e9:8.2f}  {kinds}")
-    return 0
-
-
-def _sources(run: Path) -> dict[str, str]:
-    try:
-        return dict(json.loads((run / "run.json").read_text(encoding="utf-8"))["sources"])
-    except (OSError, ValueError, KeyError):
-        raise ConfigError(f"{run} holds no run; name the folder given to --output.") from None
-
-
-if __name__ == "__main__":
-    sys.exit(main())

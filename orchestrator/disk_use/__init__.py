@@ -1,0 +1,1 @@
+"""What a run takes of the disk; see :mod:`orchestrator.disk_use.measured`."""
