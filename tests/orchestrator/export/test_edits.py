@@ -137,10 +137,8 @@ def test_what_is_made_has_the_corrected_ids_or_those_of_another_file(run: Path, 
     with Image.open(run / "yard/made/cutout/img000.png") as image:
         np.testing.assert_array_equal(np.asarray(image)[..., 3] > 0, two_objects(0).labels == 5)
     (tmp_path / "other.csv").write_text("drop,5\n")
-    assert (
-        make(["cutout", str(run), "--format", "png", "--replace", "--edits", str(tmp_path / "other.csv")])
-        == 0
-    )
+    other = ["--replace", "--edits", str(tmp_path / "other.csv")]
+    assert make(["cutout", str(run), "--format", "png", *other]) == 0
     with Image.open(run / "yard/made/cutout/img000.png") as image:
         np.testing.assert_array_equal(np.asarray(image)[..., 3] > 0, two_objects(0).labels == 3)
 
@@ -201,7 +199,7 @@ def test_faults_are_told_with_their_line(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], lines: str, told: str
 ) -> None:
     corrected(run, lines)
-    with pytest.raises(ConfigError, match="edits.csv"):
+    with pytest.raises(ConfigError, match=r"edits\.csv, line"):
         edits_of(run / "yard")
     assert export(["csv", str(run), str(tmp_path / "out.csv")]) == 2
     assert told in capsys.readouterr().err

@@ -7,7 +7,6 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import av
 import cv2
@@ -62,7 +61,7 @@ def picture(path: Path) -> Array:
 
 def frames_of(path: Path) -> list[VideoFrame]:
     with av.open(str(path)) as container:
-        return [cast(VideoFrame, frame) for frame in container.decode(video=0)]
+        return list(container.decode(video=0))
 
 
 def times_of(path: Path) -> list[float]:
