@@ -13,7 +13,6 @@ from orchestrator.make.choice import parse_only
 from orchestrator.make.kinds import KINDS, Manner
 from orchestrator.make.making import Request, make
 from orchestrator.make.moments import Span, parse_moment
-from orchestrator.pictures.content import Drawing
 
 __all__ = ["main"]
 
@@ -50,11 +49,11 @@ def _request(given: argparse.Namespace, kind: str) -> Request:
     if given.apart and kind != "clips":
         raise ConfigError("--apart goes with clips only; leave it out.")
     begin = parse_moment(given.begin) if given.begin else Span().begin
-    drawing = Drawing(ids=not given.no_ids, zones=False, frame=False)
+    drawing = None if given.no_labels else Manner.usual(ids=not given.no_ids).drawing
     return Request(
         kind=kind,
         run=given.run,
-        manner=Manner(None if given.no_labels else drawing, each=given.each, apart=given.apart),
+        manner=Manner(drawing, each=given.each, apart=given.apart),
         out=given.out,
         suffix=None if given.format is None else f".{given.format.lstrip('.')}",
         stream=given.stream,

@@ -19,7 +19,6 @@ from orchestrator.export.replay import with_pictures
 from orchestrator.make.choice import Choice, Chosen
 from orchestrator.make.moments import Span, clock
 from orchestrator.pictures.content import Drawing
-from orchestrator.run.identity import is_camera
 from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sources.address import SourceAddress, parse_address
 
@@ -102,7 +101,7 @@ class Footage:
         ConfigError
             If its source is a camera, or it has no such objects, or nothing in this span.
         """
-        if is_camera(source):
+        if parse_address(source, Path("/")).live:
             raise ConfigError(
                 f"{stream.name!r} is a camera, whose pictures cannot be read again; only files can."
             )
@@ -150,7 +149,10 @@ class Footage:
         """
         self.missing = 0
         console = Console(stderr=True)
-        for whole, picture in track(self._pairs(), doing, self.count, console=console, transient=True):
+        shown = console.is_terminal
+        for whole, picture in track(
+            self._pairs(), doing, self.count, console=console, transient=True, disable=not shown
+        ):
             if picture is None or picture.shape[:2] != (whole.height, whole.width):
                 self.missing += 1
             else:

@@ -73,6 +73,11 @@ class Manner:
     each: bool = False
     apart: bool = False
 
+    @classmethod
+    def usual(cls, *, ids: bool = True) -> Manner:
+        """Draw objects as overlays do, and nothing else."""
+        return cls(Drawing(ids=ids, zones=False, frame=False))
+
     def shown(self, shot: Shot) -> Array:
         """Return what a frame looks like."""
         return shot.picture if self.drawing is None else shot.drawn(self.drawing)

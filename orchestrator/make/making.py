@@ -17,8 +17,8 @@ from orchestrator.make.footage import Footage
 from orchestrator.make.kinds import KINDS, Manner, files_of, write
 from orchestrator.make.moments import ALL, Span
 from orchestrator.pictures.privacy import is_private
-from orchestrator.run.identity import is_camera
 from orchestrator.sinks.record import recorded_frames
+from orchestrator.sources.address import parse_address
 from orchestrator.sources.libav import reason
 
 __all__ = ["MADE", "Place", "Request", "make"]
@@ -140,11 +140,15 @@ def _sources(request: Request) -> Mapping[str, str]:
     if not recorded:
         raise ConfigError(f"The run in {request.run} has no label maps.")
     # Of a run with a camera and files, these.
-    files = {name: source for name, source in recorded.items() if not is_camera(source)} or recorded
+    files = {name: source for name, source in recorded.items() if not _is_camera(source)} or recorded
     for given, flag in ((request.choice.ids, "--only with ids"), (request.edits, "--edits")):
         if given and len(files) > 1:
             raise ConfigError(f"{flag} is about one stream; say with --stream which: {', '.join(files)}.")
     return files
+
+
+def _is_camera(source: str) -> bool:
+    return parse_address(source, Path("/")).live
 
 
 def _place(request: Request, name: str, *, alone: bool) -> Place:
