@@ -143,10 +143,10 @@ def alpha_of(path: Path) -> Array:
             assert isinstance(frame, VideoFrame)
             assert "yuva" in frame.format.name
             # Of the frame itself: its conversion to RGBA has stray pixels at the right border now and then.
-            bits = 16 if frame.format.name.endswith("le") else 8
-            plane = np.frombuffer(bytes(frame.planes[3]), np.uint16 if bits == 16 else np.uint8)
-            rows = plane.reshape(-1, frame.planes[3].line_size * 8 // bits)[: frame.height, : frame.width]
-            planes.append(rows / (1023 if bits == 16 else 255))
+            plane, bits = frame.planes[3], frame.format.components[3].bits
+            values = np.frombuffer(bytes(plane), np.uint8 if bits == 8 else np.uint16)
+            rows = values.reshape(plane.height, -1)[:, : plane.width]
+            planes.append(rows / ((1 << bits) - 1))
     return np.stack(planes)
 
 
