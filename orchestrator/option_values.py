@@ -35,7 +35,7 @@ DRAWABLE = ("ids", "zones", "frame", "clock")
 DRAWN = DRAWABLE[:3]
 
 #: What ``--make`` can name, and ``orchestrator.make`` makes.
-MAKEABLE = ("overlay", "blur", "pixelate", "highlight", "cutout", "clips", "gif", "sheet")
+MAKEABLE = ("overlay", "remove", "blur", "pixelate", "highlight", "cutout", "clips", "gif", "sheet")
 
 #: Least ``--max-side``, px: in smaller pictures there is hardly a trajectory.
 LEAST_SIDE = 64

@@ -134,30 +134,29 @@ class Footage:
             if self.span.holds(frame.index, frame.pts):
                 yield self.chosen.of_frame(frame)
 
-    def shots(self, doing: str) -> Iterator[Shot]:
-        """Read the span again, with progress on standard error.
+    def shots(self, doing: str | None) -> Iterator[Shot]:
+        """Read the span again.
 
         Parameters
         ----------
-        doing : str
-            What is shown beside the progress.
+        doing : str, optional
+            What is shown beside the progress, on standard error; None for no progress.
 
         Raises
         ------
         ConfigError
             After the last frame, if none had a picture.
         """
-        self.missing = 0
-        console = Console(stderr=True)
-        shown = console.is_terminal
-        for whole, picture in track(
-            self._pairs(), doing, self.count, console=console, transient=True, disable=not shown
-        ):
+        missing, console = 0, Console(stderr=True)
+        silent = doing is None or not console.is_terminal
+        pairs = track(self._pairs(), doing or "", self.count, console=console, transient=True, disable=silent)
+        for whole, picture in pairs:
             if picture is None or picture.shape[:2] != (whole.height, whole.width):
-                self.missing += 1
+                missing += 1
             else:
                 yield Shot(self.chosen.of_frame(whole), whole, picture)
-        if self.missing == self.count:
+        self.missing = missing
+        if missing == self.count:
             raise ConfigError(
                 f"{self.source}, the source of {self.name!r}, cannot be read again in the size recorded; put "
                 "it back to where it was."

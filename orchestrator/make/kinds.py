@@ -13,6 +13,7 @@ from orchestrator.make.cutout import write_cutout
 from orchestrator.make.effects import EFFECTS
 from orchestrator.make.footage import Footage, Shot
 from orchestrator.make.gif import write_gif
+from orchestrator.make.remove import write_removed
 from orchestrator.make.sheet import write_sheet
 from orchestrator.make.videos import write_video
 from orchestrator.pictures.content import Drawing
@@ -41,6 +42,7 @@ class Kind:
 #: By name.
 KINDS = {
     "overlay": Kind("the objects outlined and tinted", _VIDEOS),
+    "remove": Kind("what was behind the objects, from frames that show it, and where it is made up", _VIDEOS),
     "blur": Kind("the objects blurred (no promise that nobody can be recognised)", _VIDEOS),
     "pixelate": Kind("the objects as a mosaic (no promise either)", _VIDEOS),
     "highlight": Kind("all grey but the objects", _VIDEOS),
@@ -87,6 +89,8 @@ def files_of(kind: str, stem: str, suffix: str, manner: Manner) -> list[str]:
     """Return the names of the files and folders that :func:`write` makes, the main one first."""
     if kind == "clips":
         return [stem] if manner.apart else [f"{stem}{suffix}", f"{stem}.csv"]
+    if kind == "remove":
+        return [f"{stem}{suffix}", f"{stem}-made-up{suffix}"]
     if kind == "cutout" and (manner.each or suffix == ".png"):
         return [stem]
     return [f"{stem}{suffix}"]
@@ -116,12 +120,15 @@ def write(kind: str, footage: Footage, folder: Path, stem: str, suffix: str, man
     ConfigError
         If there is nothing to make it of.
     """
-    path = folder / files_of(kind, stem, suffix, manner)[0]
+    paths = [folder / name for name in files_of(kind, stem, suffix, manner)]
+    path = paths[0]
     if not footage.chosen.seen and kind not in ("overlay", "gif", "sheet"):
         raise ConfigError(f"There is no such object in {footage.name!r}, so no {kind} is made.")
     match kind:
         case "cutout":
             remarks = write_cutout(footage, path, suffix, each=manner.each)
+        case "remove":
+            remarks = write_removed(footage, path, paths[1])
         case "clips":
             remarks = write_clips(footage, path, suffix, manner.shown, apart=manner.apart)
         case "gif":

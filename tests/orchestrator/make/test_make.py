@@ -216,6 +216,28 @@ def test_the_sound_of_a_private_run_is_left_out_and_its_pictures_hide_what_moves
         assert not container.streams.audio
 
 
+def test_a_removed_object_shows_the_ground_behind_it_and_the_others_stay(tmp_path: Path) -> None:
+    (tmp_path / "yard").mkdir()
+    ground = np.random.default_rng(3).integers(60, 190, (HEIGHT // 3, WIDTH // 2, 3), np.uint8)
+    ground = np.asarray(cv2.resize(ground, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC))
+    for index in range(24):
+        picture_of = ground.copy()
+        labels = segmentation(index, 3, 5).labels
+        picture_of[labels == 3], picture_of[labels == 5] = (0, 0, 255), (255, 255, 255)
+        cv2.imwrite(str(tmp_path / f"yard/img{index:03d}.png"), picture_of)
+    run = write_run_over(
+        tmp_path / "run", {"yard": tmp_path / "yard"}, lambda index: segmentation(index, 3, 5)
+    )
+    folder = made(run, "remove", "--only", "3")
+    assert sorted(path.name for path in folder.iterdir()) == ["remove-3-made-up.mp4", "remove-3.mp4"]
+    frames = frames_of(folder / "remove-3.mp4")
+    assert len(frames) == len(frames_of(folder / "remove-3-made-up.mp4")) == 24
+    for index in (4, 12, 20):
+        shown, labels = frames[index].to_ndarray(format="bgr24"), segmentation(index, 3, 5).labels
+        assert np.abs(shown[labels == 3].astype(int) - ground[labels == 3]).mean() < 12
+        assert shown[labels == 5].mean() > 200
+
+
 def test_parts_in_which_something_moves_are_joined_with_their_times_and_sound(sounding: Path) -> None:
     shutil.rmtree(sounding)
     spells = {*range(10, 20), *range(140, 150)}
