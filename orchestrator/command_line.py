@@ -85,6 +85,8 @@ def _refuse_together(arguments: Arguments) -> None:
         raise ConfigError(
             "--watch reads a list again; write your sources into one and name it with --streams."
         )
+    if arguments.make and "parquet" not in arguments.save:
+        raise ConfigError("--make reads the tables; add parquet to --save.")
     if arguments.private and "cutouts" in arguments.save:
         raise ConfigError("--save cutouts cuts out what --private hides; leave one of them out.")
     if arguments.private and arguments.clips is not None:

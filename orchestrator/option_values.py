@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from orchestrator.ignored import Ignored
     from orchestrator.run.retention_limits import Keep
 
-__all__ = ["DRAWABLE", "DRAWN", "LEAST_SIDE", "SAVABLE", "SAVED"]
+__all__ = ["DRAWABLE", "DRAWN", "LEAST_SIDE", "MAKEABLE", "SAVABLE", "SAVED"]
 
 #: The parts of a record that ``--save`` can name.
 SAVABLE = ("masks", "parquet", "overlay", "background", "cutouts")
@@ -33,6 +33,9 @@ SAVED = SAVABLE[:3]
 #: What can be drawn over pictures beside the objects, and what is by default.
 DRAWABLE = ("ids", "zones", "frame", "clock")
 DRAWN = DRAWABLE[:3]
+
+#: What ``--make`` can name, and ``orchestrator.make`` makes.
+MAKEABLE = ("overlay", "remove", "blur", "pixelate", "highlight", "cutout", "clips", "gif", "sheet")
 
 #: Least ``--max-side``, px: in smaller pictures there is hardly a trajectory.
 LEAST_SIDE = 64
@@ -113,6 +116,12 @@ def parts(text: str) -> frozenset[str]:
 def drawn(text: str) -> frozenset[str]:
     """Read what pictures show, with commas; nothing if it is empty."""
     return _chosen(text, DRAWABLE) if text else frozenset()
+
+
+def made(text: str) -> tuple[str, ...]:
+    """Read what is to be made, with commas; in the order of :data:`MAKEABLE`."""
+    chosen = _chosen(text, MAKEABLE)
+    return tuple(kind for kind in MAKEABLE if kind in chosen)
 
 
 def _chosen(text: str, known: Sequence[str]) -> frozenset[str]:

@@ -127,6 +127,17 @@ class Arguments:
             page="outputs.md#what-pictures-show",
         ),
     ] = frozenset(values.DRAWN)
+    make: Annotated[
+        tuple[str, ...],
+        Option(
+            f"when the run has ended, make of each file any of {', '.join(values.MAKEABLE)}, with commas, in "
+            "DIR/NAME/made",
+            "KIND[,KIND]",
+            read=values.made,
+            write=lambda kinds: [",".join(kinds)] if kinds else [],
+            page="make.md",
+        ),
+    ] = ()
     time_zone: Annotated[
         str | None,
         Option(

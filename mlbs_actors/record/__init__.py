@@ -4,6 +4,7 @@
 ``streams_of``         the names of a run's streams
 ``description_of``     its ``run.json``
 ``recorded_stream``    the committed frames of a stream, each a ``RecordedFrame`` with its label map
+``edits_of``           corrections of its ids by hand, which ``recorded_stream`` applies
 =====================  ==============================================================================
 
 The tables are read with packages of the extra ``read``: ``pip install 'mlbs-actors[read]'``. Below these,
@@ -11,6 +12,12 @@ The tables are read with packages of the extra ``read``: ``pip install 'mlbs-act
 :mod:`.frame_row`.
 """
 
-from mlbs_actors.record.recorded_stream import RecordedFrame, description_of, recorded_stream, streams_of
+from mlbs_actors.record.recorded_stream import (
+    RecordedFrame,
+    description_of,
+    edits_of,
+    recorded_stream,
+    streams_of,
+)
 
-__all__ = ["RecordedFrame", "description_of", "recorded_stream", "streams_of"]
+__all__ = ["RecordedFrame", "description_of", "edits_of", "recorded_stream", "streams_of"]

@@ -16,10 +16,18 @@ import numpy as np
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.extras import needing
 from mlbs_actors.messages import Array, LayerSummary
+from mlbs_actors.record.edits import EDITS, NO_EDITS, Edits, read_edits
 from mlbs_actors.record.frame_row import FrameRow
 from mlbs_actors.record.scene_place import ScenePlace
 
-__all__ = ["RecordedFrame", "description_of", "read_description", "recorded_stream", "streams_of"]
+__all__ = [
+    "RecordedFrame",
+    "description_of",
+    "edits_of",
+    "read_description",
+    "recorded_stream",
+    "streams_of",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,23 +124,48 @@ def streams_of(run: Path) -> dict[str, str]:
     return dict(description_of(run)["sources"])
 
 
-def recorded_stream(folder: Path) -> Iterator[RecordedFrame]:
+def edits_of(folder: Path, path: Path | None = None) -> Edits:
+    """Return the corrections of a stream, those of its ``edits.csv`` or of another file.
+
+    Raises
+    ------
+    ConfigError
+        If they are wrong; the message has the line.
+    MissingPackageError
+        Without the extra ``read``.
+    """
+    if path is None:
+        path = folder / EDITS
+        if not path.exists():
+            return NO_EDITS
+    with needing("read"):
+        from mlbs_actors.record.record_tables import read_rows
+
+    return read_edits(path, lambda: read_rows(folder))
+
+
+def recorded_stream(folder: Path, edits: Edits | None = None) -> Iterator[RecordedFrame]:
     """Yield committed frames that have a label map, in order, one part of the tables at a time.
 
     Parameters
     ----------
     folder : Path
         Of the stream; one that is not there has no frames.
+    edits : Edits, optional
+        Corrections of its ids; by default those of :func:`edits_of`.
 
     Raises
     ------
+    ConfigError
+        If the stream's corrections are wrong.
     MissingPackageError
         Without the extra ``read``.
     """
     with needing("read"):
         from mlbs_actors.record.record_tables import read_rows
 
-    return _frames_of(read_rows(folder))
+    edits = edits_of(folder) if edits is None else edits
+    return _frames_of(edits.applied(read_rows(folder)))
 
 
 def _frames_of(rows: Iterable[FrameRow]) -> Iterator[RecordedFrame]:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import track
 
 from mlbs_actors.errors import ConfigError
-from mlbs_actors.record.recorded_stream import description_of, recorded_stream, streams_of
+from mlbs_actors.record.recorded_stream import description_of, streams_of
 from mlbs_actors.wording import count_of
 from orchestrator.events.zones import Zone
 from orchestrator.export.replay import with_pictures
@@ -76,7 +76,7 @@ def draw_overlay(
         What is missing, and why.
     """
     overlay, drawn, missing = OverlayVideo(path, _sound_of(source), zones, drawing), 0, 0
-    pairs = with_pictures(recorded_stream(stream), source, private=drawing.private)
+    pairs = with_pictures(stream, source, private=drawing.private)
     for frame, picture in track(
         pairs, stream.name, recorded_frames(stream), console=Console(stderr=True), transient=True
     ):

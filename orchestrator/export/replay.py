@@ -15,7 +15,8 @@ from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.inspection import FrameInspection
 from mlbs_actors.messages import Array, Segmentation
-from mlbs_actors.record.recorded_stream import RecordedFrame
+from mlbs_actors.record.edits import NO_EDITS, Edits
+from mlbs_actors.record.recorded_stream import RecordedFrame, recorded_stream
 from mlbs_actors.source import SourceFrame
 from mlbs_actors.subtractor import MultilayerSubtractor
 from orchestrator.pictures.privacy import FRAMES_AFTER, MovingArea, blurred
@@ -58,24 +59,32 @@ def replayed(source: str) -> Iterator[SourceFrame]:
 
 
 def with_pictures(
-    frames: Iterable[RecordedFrame], source: str, *, private: bool = False
+    stream: Path, source: str, *, private: bool = False, edits: Edits | None = None
 ) -> Iterator[tuple[RecordedFrame, Array | None]]:
     """Pair recorded frames with the pictures of their source, None where those cannot be read again.
 
     Parameters
     ----------
-    frames : iterable of RecordedFrame
-        A stream's, from the first one on.
+    stream : Path
+        Its folder.
     source : str
     private : bool
         Whether what moves is blurred, and pictures of another size than recorded are left out.
+    edits : Edits, optional
+        Corrections of ids; by default those of :func:`~mlbs_actors.record.recorded_stream.edits_of`.
+
+    Raises
+    ------
+    ConfigError
+        If the stream's corrections are wrong.
     """
-    pairs = _with_pictures(frames, source)
-    return _hidden(pairs) if private else pairs
+    pairs = _with_pictures(recorded_stream(stream, edits), source)
+    # What was dropped by hand moves all the same.
+    return _hidden(pairs, recorded_stream(stream, NO_EDITS)) if private else pairs
 
 
 def _hidden(
-    pairs: Iterable[tuple[RecordedFrame, Array | None]],
+    pairs: Iterable[tuple[RecordedFrame, Array | None]], recorded: Iterable[RecordedFrame]
 ) -> Iterator[tuple[RecordedFrame, Array | None]]:
     moving, held = MovingArea(), deque[tuple[RecordedFrame, Array | None]]()
 
@@ -85,8 +94,8 @@ def _hidden(
             return frame, None
         return frame, blurred(picture, moving.mask(len(held)))
 
-    for frame, picture in pairs:
-        moving.follow(frame.labels(), frame.camera)
+    for (frame, picture), as_recorded in zip(pairs, recorded, strict=False):
+        moving.follow(as_recorded.labels(), frame.camera)
         held.append((frame, picture))
         if len(held) > FRAMES_AFTER:
             yield oldest()

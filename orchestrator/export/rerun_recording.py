@@ -18,6 +18,7 @@ from rich.progress import track
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import BACKGROUND, Array, LayerSummary
+from mlbs_actors.record.edits import NO_EDITS
 from mlbs_actors.record.recorded_stream import (
     RecordedFrame,
     description_of,
@@ -65,7 +66,7 @@ def write_rerun(run: Path, out: Path, *, internals: bool = False) -> list[str]:
         recording.save(out)
         recording.set_log_time_enabled(False)  # the time of the export is irrelevant
         for name, source in sources.items():
-            pairs = with_pictures(recorded_stream(run / name), source, private=private)
+            pairs = with_pictures(run / name, source, private=private)
             _StreamLog(recording, name).write(pairs)
         return _add_internals(recording, run, sources) if internals else []
 
@@ -78,7 +79,8 @@ def _add_internals(recording: rerun.RecordingStream, run: Path, sources: Mapping
     layers: dict[str, tuple[int, ...]] = {}
     remarks: list[str] = []
     for name, source in sources.items():
-        recorded, own = list(recorded_stream(run / name)), asked | asked["settings"].get(name, {})
+        # Labelling it again gives the ids of the record, not those of corrections.
+        recorded, own = list(recorded_stream(run / name, NO_EDITS)), asked | asked["settings"].get(name, {})
         config = Config.model_validate(own["config"])
         frames = inspected(
             recorded, source, config, own["max_frames"], own["max_side"], ignored.mask_of(name)

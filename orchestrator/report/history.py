@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from mlbs_actors.messages import Array
 from mlbs_actors.record.commits import read_commits
+from mlbs_actors.record.edits import NO_EDITS, Edits
 from mlbs_actors.record.frame_row import FrameRow
 from mlbs_actors.record.record_tables import read_rows, read_table
 from orchestrator.sinks.object_list import ObjectList, SeenObject
@@ -101,13 +102,15 @@ class StreamHistory:
         ]
 
 
-def read_history(folder: Path) -> StreamHistory | None:
+def read_history(folder: Path, edits: Edits = NO_EDITS) -> StreamHistory | None:
     """Read a stream's tables; None if they were not saved, or nothing is committed.
 
     Parameters
     ----------
     folder : Path
         Of the stream.
+    edits : Edits
+        Corrections of its ids.
     """
     commits = read_commits(folder)
     in_segments = bool(commits) and commits[-1].segment is not None
@@ -123,11 +126,13 @@ def read_history(folder: Path) -> StreamHistory | None:
         pts[status == "gap"].tolist(), np.append(pts[1:], pts[-1])[status == "gap"].tolist(), strict=True
     )
     rests: dict[int, list[tuple[int, int]]] = {}
-    lives = ObjectList().add(_noting_rests(read_rows(folder, begin), rests)).objects
+    counts: list[int] = []
+    rows = _noting(edits.applied(read_rows(folder, begin)), rests, counts)
+    lives = ObjectList().add(rows).objects
     return StreamHistory(
         frames=frames[ok],
         pts=pts[ok],
-        objects=_numbers(table, "layers")[ok].astype(np.int32),
+        objects=np.array(counts, np.int32),
         latency_frames=_numbers(table, "latency_frames")[ok].astype(np.int32),
         unusual=unusual,
         lost=lost,
@@ -138,8 +143,10 @@ def read_history(folder: Path) -> StreamHistory | None:
     )
 
 
-def _noting_rests(rows: Iterable[FrameRow], rests: dict[int, list[tuple[int, int]]]) -> Iterator[FrameRow]:
-    """Pass rows on; add the times in which objects rest to ``rests``."""
+def _noting(
+    rows: Iterable[FrameRow], rests: dict[int, list[tuple[int, int]]], counts: list[int]
+) -> Iterator[FrameRow]:
+    """Pass rows on; note when objects rest, and the number of objects in each label map."""
     before = None  # the label map before
     for row in rows:
         for layer in row.result.layers if row.result else ():
@@ -151,6 +158,7 @@ def _noting_rests(rows: Iterable[FrameRow], rests: dict[int, list[tuple[int, int
                     spans.append((row.frame, row.frame))
         if row.result:
             before = row.frame
+            counts.append(len(row.result.layers))
         yield row
 
 

@@ -13,6 +13,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.record.commits import read_commits
+from mlbs_actors.record.edits import EDITS, NO_EDITS, Edits
+from mlbs_actors.record.recorded_stream import edits_of
 from mlbs_actors.wording import count_of
 from orchestrator.counts.count_files import COUNTS_CSV
 from orchestrator.counts.stream_counts import CountReader, Heat, recent_hours
@@ -134,7 +136,13 @@ def render_report(folder: Path) -> str:
 
 
 def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) -> _Stream:
-    history = read_history(folder)
+    faults = [*([status["error"]] if status["error"] else []), *stream_remarks(folder)]
+    try:
+        edits = edits_of(folder)
+    except ConfigError as error:  # the rest of the page is right without them
+        edits = NO_EDITS
+        faults.append(f"The corrections of ids are left out. {error}")
+    history = read_history(folder, edits)
     lives: list[SeenObject] = []
     strip: list[StripPicture] = []
     lost: list[str] = []
@@ -153,13 +161,13 @@ def _stream(folder: Path, source: str, status: dict[str, Any], pictures: int) ->
         has_folder=folder.is_dir(),
         has_list=(folder / OBJECTS_CSV).exists(),
         status=status,
-        faults=[*([status["error"]] if status["error"] else []), *stream_remarks(folder)],
+        faults=faults,
         overlays=tuple(str(path.relative_to(folder)) for _, path in overlays(folder)[-_OVERLAYS:]),
         history=history,
         lives=lives,
         strip=strip,
         lost=lost,
-        left_out=_left_out(folder),
+        left_out=_left_out(folder) + _corrected(edits),
         events=recent_events(folder, _EVENTS),
         hours=recent_hours(folder, _COUNT_ROWS),
         heat=CountReader(folder.parent).of(folder.name).heat,
@@ -179,6 +187,17 @@ def _left_out(folder: Path) -> list[str]:
     if end - first > MOST_FRAMES:
         said.append(f"Shown are the newest {MOST_FRAMES} frames; {end - MOST_FRAMES - first} more are kept")
     return said
+
+
+def _corrected(edits: Edits) -> list[str]:
+    """Say that ids on the page are not those of the run."""
+    if not edits.edits:
+        return []
+    number = count_of(len(edits.edits), "correction")
+    return [
+        f"Objects have the ids of {EDITS}, with {number}; masks, overlays, events and {OBJECTS_CSV} have "
+        "those of the run"
+    ]
 
 
 def _ranges(frames: tuple[int, ...]) -> str:

@@ -54,6 +54,7 @@ from orchestrator.run.edit_zones import ZoneFiles
 from orchestrator.run.expected_time import words_on_expected_time
 from orchestrator.run.job import Job
 from orchestrator.run.listed_stream import StreamsFile
+from orchestrator.run.makings import make_of_all
 from orchestrator.run.node_check import node_places
 from orchestrator.run.resumption import (
     ended_before,
@@ -212,6 +213,7 @@ def run(
             if arguments.save >= {"overlay", "parquet"}:
                 make_all_whole(job, {spec.name for spec in due}, states, folder, log.warn)
             replace_file(folder.path / "report.html", render_report(folder.path).encode())
+            make_of_all(arguments.make, job, {spec.name for spec in due}, states, folder, log.say)
         except OSError as error:
             raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
     log.say(closing_words(folder, states, arguments))

@@ -14,7 +14,6 @@ from record_fakes import HEIGHT, WIDTH, segmentation, write_run
 
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array
-from mlbs_actors.record.recorded_stream import recorded_stream
 from mlbs_actors.source import SourceFrame
 from orchestrator.export.__main__ import main
 from orchestrator.export.replay import with_pictures
@@ -109,8 +108,8 @@ def test_pictures_that_are_read_again_are_private_from_the_first_frame_on(tmp_pa
     record(tmp_path / "run", {"yard": SCENE})
     stream = tmp_path / "run/yard"
     open_pairs = partial(with_pictures, source=SCENE)
-    plain = list(open_pairs(recorded_stream(stream)))
-    private = list(open_pairs(recorded_stream(stream), private=True))
+    plain = list(open_pairs(stream))
+    private = list(open_pairs(stream, private=True))
     assert [frame.index for frame, _ in private] == [frame.index for frame, _ in plain]
     for (frame, before), (_, after) in zip(plain, private, strict=True):
         assert before is not None

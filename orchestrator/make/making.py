@@ -1,0 +1,194 @@
+"""Makes things of the streams of a run, and puts them where they belong."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import av.error
+
+from mlbs_actors.errors import ConfigError
+from mlbs_actors.record.recorded_stream import description_of, edits_of, streams_of
+from orchestrator.make.choice import EVERYTHING, Choice
+from orchestrator.make.footage import Footage
+from orchestrator.make.kinds import KINDS, Manner, files_of, write
+from orchestrator.make.moments import ALL, Span
+from orchestrator.pictures.privacy import is_private
+from orchestrator.sinks.record import recorded_frames
+from orchestrator.sources.address import parse_address
+from orchestrator.sources.libav import reason
+
+__all__ = ["MADE", "Place", "Request", "make"]
+
+#: Folder of what is made, in that of the stream.
+MADE = "made"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where something is put.
+
+    Attributes
+    ----------
+    folder : Path
+    stem, suffix : str
+        Name of the file, and its ending.
+    """
+
+    folder: Path
+    stem: str
+    suffix: str
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is to be made.
+
+    Attributes
+    ----------
+    kind : str
+    run : Path
+    out : Path, optional
+        A file, if it has an ending, else a folder; by default the folder ``made`` of each stream.
+    suffix : str, optional
+        Ending of the file, if ``out`` has none.
+    stream : str, optional
+        The only stream.
+    edits : Path, optional
+        Corrections of ids in place of those in the stream's folder.
+    choice : Choice
+    only : str
+        How it was asked for, for the names of files.
+    span : Span
+    manner : Manner
+    replace : bool
+        Whether files that are there already are replaced.
+    """
+
+    kind: str
+    run: Path
+    manner: Manner
+    out: Path | None = None
+    suffix: str | None = None
+    stream: str | None = None
+    edits: Path | None = None
+    choice: Choice = EVERYTHING
+    only: str = ""
+    span: Span = ALL
+    replace: bool = False
+
+
+def make(request: Request, say: Callable[[str], None]) -> Iterator[Path]:
+    """Make what is asked for of every stream, or of one.
+
+    Parameters
+    ----------
+    request : Request
+    say : callable
+        Is told what is missing, and why.
+
+    Yields
+    ------
+    Path
+        What was made: a file or a folder.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be made of any stream, or is there already.
+    OSError
+        If it cannot be written.
+    """
+    sources, private = _sources(request), is_private(description_of(request.run))
+    places = {name: _place(request, name, alone=len(sources) == 1) for name in sources}
+    if not request.replace:
+        for place in places.values():
+            _refuse_if_there(request, place)
+    made, faults = 0, []
+    for name, source in sources.items():
+        folder = request.run / name
+        try:
+            edits = edits_of(folder, request.edits)
+            footage = Footage.of(folder, source, request.choice, request.span, edits, private=private)
+            path, remarks = _made(request, footage, places[name])
+        except ConfigError as error:
+            faults.append(str(error))
+            continue
+        for remark in remarks:
+            say(remark)
+        made += 1
+        yield path
+    if not made:
+        raise ConfigError(" ".join(faults))
+    for fault in faults:
+        say(fault)
+
+
+def _sources(request: Request) -> Mapping[str, str]:
+    """Return the streams of which something is to be made, and their sources."""
+    sources = streams_of(request.run)
+    if request.stream is not None:
+        if request.stream not in sources:
+            raise ConfigError(
+                f"There is no stream {request.stream!r} in this run; there are {', '.join(sources)}."
+            )
+        return {request.stream: sources[request.stream]}
+    recorded = {name: source for name, source in sources.items() if recorded_frames(request.run / name)}
+    if not recorded:
+        raise ConfigError(f"The run in {request.run} has no label maps.")
+    # Of a run with a camera and files, these.
+    files = {name: source for name, source in recorded.items() if not _is_camera(source)} or recorded
+    for given, flag in ((request.choice.ids, "--only with ids"), (request.edits, "--edits")):
+        if given and len(files) > 1:
+            raise ConfigError(f"{flag} is about one stream; say with --stream which: {', '.join(files)}.")
+    return files
+
+
+def _is_camera(source: str) -> bool:
+    return parse_address(source, Path("/")).live
+
+
+def _place(request: Request, name: str, *, alone: bool) -> Place:
+    suffixes = KINDS[request.kind].suffixes
+    out, suffix = request.out, request.suffix or suffixes[0]
+    if suffix not in suffixes:
+        raise ConfigError(f"{request.kind} is written as {' or '.join(suffixes)}, not as {suffix}.")
+    if out is None:
+        return Place(request.run / name / MADE, f"{request.kind}{request.only and '-'}{request.only}", suffix)
+    if not out.suffix or out.is_dir():
+        return Place(out, f"{name}-{request.kind}", suffix)
+    if not alone:
+        raise ConfigError(
+            f"{out} is one file, but the run has several streams; name a folder, or one with --stream."
+        )
+    if out.suffix not in suffixes:
+        raise ConfigError(f"{request.kind} is written as {' or '.join(suffixes)}, not as {out.suffix}.")
+    return Place(out.parent, out.stem, out.suffix)
+
+
+def _refuse_if_there(request: Request, place: Place) -> None:
+    for name in files_of(request.kind, place.stem, place.suffix, request.manner):
+        if (place.folder / name).exists():
+            raise ConfigError(
+                f"{place.folder / name} is there already; name another place to write to, or add --replace."
+            )
+
+
+def _made(request: Request, footage: Footage, place: Place) -> tuple[Path, list[str]]:
+    """Make one thing; what is at its place is complete or missing."""
+    place.folder.mkdir(parents=True, exist_ok=True)
+    names = files_of(request.kind, place.stem, place.suffix, request.manner)
+    with tempfile.TemporaryDirectory(dir=place.folder, prefix=f".{place.stem}.", suffix=".part") as draft:
+        try:
+            remarks = write(request.kind, footage, Path(draft), place.stem, place.suffix, request.manner)
+        except av.error.FFmpegError as error:
+            raise ConfigError(f"{place.folder / names[0]} cannot be encoded: {reason(error)}.") from None
+        for name in names:
+            target = place.folder / name
+            if target.is_dir():
+                shutil.rmtree(target)
+            (Path(draft) / name).replace(target)
+    return place.folder / names[0], remarks
