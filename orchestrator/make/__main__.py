@@ -13,6 +13,7 @@ from orchestrator.make.choice import parse_only
 from orchestrator.make.kinds import KINDS, Manner
 from orchestrator.make.making import Request, make
 from orchestrator.make.moments import Span, parse_moment
+from orchestrator.program import program_name
 
 __all__ = ["main"]
 
