@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 
 from orchestrator.command_options import command_parser
 from orchestrator.early_signals import exit_on_signals
+from orchestrator.extra import missing_packages
 
 __all__ = ["main"]
-
-#: OpenCV, which nothing requires, as its packages exclude each other, and the modules of the extra ``run``,
-#: which ``MultilayerSubtractor`` alone does not need.
-_NEEDED = ("cv2", "av", "filelock", "jinja2", "PIL", "pyarrow", "pycocotools", "ray", "rich")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -23,9 +20,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not {"-h", "--help"}.isdisjoint(given):  # also where nothing is installed yet
         command_parser().print_help()
         return 0
-    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
-    if missing:
-        extras = "run,headless" if "cv2" in missing else "run"
+    missing = missing_packages()
+    # Nothing requires OpenCV, as its packages exclude each other.
+    lacks_opencv = find_spec("cv2") is None
+    if missing or lacks_opencv:
+        missing = ["cv2", *missing] if lacks_opencv else missing
+        extras = "run,headless" if lacks_opencv else "run"
         print(
             f"Packages are missing that a run needs ({', '.join(missing)}); "
             f"pip install 'mlbs-actors[{extras}]'",
