@@ -71,7 +71,7 @@ def compile_kernels(progress: Callable[[float, int], None] | None = None) -> Non
     ----------
     progress : callable, optional
         Called every five seconds with the seconds so far and the number of kernels that are compiled; there
-        are about 400. What it raises ends the compilation; what was compiled is kept.
+        are about 300. What it raises ends the compilation; what was compiled is kept.
 
     Raises
     ------
