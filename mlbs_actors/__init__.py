@@ -8,15 +8,21 @@
 ``Segmentation``                   what a result is made of: label map and objects
 ``LayerSummary``                   one object in one frame
 ``Region``, ``Boxes``              its bounding box, and those of all objects in a frame
+``FrameInspection``                what an inspector sees of a frame: of each layer a
+                                   ``LayerInspection``
 ``Config``, ``load_config``        all parameters, and how to change some of them
+``compile_kernels``                done beforehand, the first frame does not wait for it
 ``MlbsError``                      base of all errors: ``ConfigError``, ``FrameError``, ``LayerError``,
                                    ``MissingPackageError``, ``SinkError``, ``SolverError``,
                                    ``SourceError``
 =================================  ===================================================================
 
-``docs/python_api.md`` shows their use by example. All other modules are the engine's parts.
+Three modules are public, too: :mod:`mlbs_actors.pictures` draws label maps, :mod:`mlbs_actors.scenes` makes
+videos with exact labels, :mod:`mlbs_actors.record` reads what a run has recorded. ``docs/python_api.md``
+shows their use by example. All other modules are the engine's parts.
 """
 
+import importlib
 from typing import TYPE_CHECKING
 
 try:
@@ -42,7 +48,9 @@ from mlbs_actors.messages import Boxes, LayerSummary, Region, Segmentation
 from mlbs_actors.result import Result
 
 if TYPE_CHECKING:
+    from mlbs_actors.inspection import FrameInspection, LayerInspection
     from mlbs_actors.subtractor import MultilayerSubtractor
+    from mlbs_actors.warm_up import compile_kernels
 
 __version__ = "0.1.0"
 
@@ -54,7 +62,9 @@ __all__ = [
     "Config",
     "ConfigError",
     "FrameError",
+    "FrameInspection",
     "LayerError",
+    "LayerInspection",
     "LayerSummary",
     "MissingPackageError",
     "MlbsError",
@@ -65,6 +75,7 @@ __all__ = [
     "SinkError",
     "SolverError",
     "SourceError",
+    "compile_kernels",
     "load_config",
 ]
 
@@ -73,12 +84,21 @@ def __dir__() -> list[str]:
     return [*__all__, "__doc__", "__file__", "__name__", "__path__", "__version__"]
 
 
+#: The modules of names that are imported when they are asked for: most processes of a stream need a part of
+#: the engine or none.
+_HOMES = {
+    "FrameInspection": "inspection",
+    "LayerInspection": "inspection",
+    "MultilayerSubtractor": "subtractor",
+    "compile_kernels": "warm_up",
+}
+_MODULES = ("pictures", "record", "scenes")
+
 if not TYPE_CHECKING:  # hidden from type checkers, which would accept every name
 
     def __getattr__(name: str) -> object:
-        """Import the engine on demand: most processes of a stream need a part of it or none."""
-        if name == "MultilayerSubtractor":
-            from mlbs_actors.subtractor import MultilayerSubtractor
-
-            return MultilayerSubtractor
+        if name in _MODULES:
+            return importlib.import_module(f"{__name__}.{name}")
+        if name in _HOMES:
+            return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -35,6 +35,20 @@ class Result(Segmentation):
     absent: tuple[int, ...] = ()
     ended: tuple[int, ...] = ()
 
+    def __repr__(self) -> str:
+        height, width = self.labels.shape
+        objects = " ".join(str(one.layer) for one in self.layers) or "none"
+        status = "" if self.status == "ok" else f", {self.status}"
+        changes = (("born", self.born), ("absent", self.absent), ("ended", self.ended))
+        changed = "".join(f", {word} {' '.join(map(str, ids))}" for word, ids in changes if ids)
+        return f"Result(frame {self.frame_index}, {width}×{height}{status}, objects {objects}{changed})"
+
+    def _repr_html_(self) -> str:
+        """Show the label map and a row for each object, in a notebook."""
+        from mlbs_actors.pictures.notebook import result_as_html
+
+        return result_as_html(self)
+
     @classmethod
     def of(cls, segmentation: Segmentation, tag: object, known: set[int], possible: set[int]) -> Result:
         """Add to a label map what it changes.

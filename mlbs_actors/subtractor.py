@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from os import PathLike
 from threading import Lock
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from mlbs_actors.layer.layer import Layer
 from mlbs_actors.layer.layer_state import LayerState
 from mlbs_actors.messages import Array, FrameEvidence, LayerKind, Segmentation, readonly
 from mlbs_actors.result import Result
+from mlbs_actors.result_log import LOGGER, ResultLog
 from mlbs_actors.segmentation.attached_parts import join_parts
 from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture
@@ -31,8 +31,6 @@ from mlbs_actors.tracking.trajectories import TrackFunction
 from mlbs_actors.video_file import video_frames
 
 __all__ = ["MultilayerSubtractor"]
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +55,10 @@ class _SubtractorState:
 def _say_if_it_compiles() -> None:
     """Warn, once, that the first frame takes long."""
     if not has_machine_code():
-        _log.warning(
+        LOGGER.warning(
             "This is the first use of this installation: it compiles for one to three minutes, once, or "
-            "longer if the machine is busy. 'python -m mlbs_actors.warm_up' does that beforehand."
+            "longer if the machine is busy. 'python -m mlbs_actors.warm_up', or the function "
+            "mlbs_actors.compile_kernels, does that beforehand."
         )
 
 
@@ -84,11 +83,15 @@ class MultilayerSubtractor:
         Your own point tracker, which trajectories follow in place of the flow: maps two frames (H, W, 3)
         uint8 BGR and points of the first, (n, 2) float32, (x, y) in px, to their places in the second, (n, 2)
         float, and to whether they are seen there, (n,) bool. Where new ones begin is decided here.
+    colour : {"bgr", "rgb"}
+        Order of the channels of the frames that are given, and that ``segment`` yields. The label maps are
+        the same. ``inspector``, ``flow`` and ``tracks`` are given BGR always.
 
     Raises
     ------
     ConfigError
-        If ``config`` is something else, such as a file's name, or ``ignored`` is no mask.
+        If ``config`` is something else, such as a file's name, ``ignored`` is no mask, or ``colour`` is
+        neither.
 
     Notes
     -----
@@ -96,6 +99,8 @@ class MultilayerSubtractor:
     :class:`~mlbs_actors.errors.MlbsError`. Several subtractors may run in several threads.
     It can be pickled between two frames, if the tags of the frames it holds can be. The copy continues as the
     original would have, to the byte, with the same versions of the packages on the same kind of CPU.
+    The logger ``mlbs_actors`` gets records of cuts, frames of another size, and pictures that do not tell the
+    camera's motion (``INFO``), and of ids that are born or end (``DEBUG``).
 
     Examples
     --------
@@ -119,6 +124,7 @@ class MultilayerSubtractor:
         flow: FlowFunction | None = None,
         ignored: Array | None = None,
         tracks: TrackFunction | None = None,
+        colour: Literal["bgr", "rgb"] = "bgr",
     ) -> None:
         if config is not None and not isinstance(config, Config):
             raise ConfigError(f"Give a Config, not {config!r}; load_config reads one from a file.")
@@ -127,9 +133,12 @@ class MultilayerSubtractor:
                 f"ignored must be a (height, width) mask of bool, not {ignored.shape} {ignored.dtype}; "
                 "mask != 0 makes one of a picture."
             )
+        if colour not in ("bgr", "rgb"):
+            raise ConfigError(f'colour must be "bgr" or "rgb", not {colour!r}.')
         self.config = config or Config()
         self._inspector = inspector
-        self._arguments = self.config, inspector, flow, ignored, tracks  # to pickle
+        self._is_rgb = colour == "rgb"
+        self._arguments = self.config, inspector, flow, ignored, tracks, colour  # to pickle
         self._coordinator = Coordinator(self.config, flow=flow, ignored=ignored, tracks=tracks)
         self._segmenter = Segmenter(self.config)
         self._layers: dict[int, Layer] = {}
@@ -137,7 +146,16 @@ class MultilayerSubtractor:
         self._published: dict[int, Segmentation] = {}
         self._tags: dict[int, object] = {}
         self._known: set[int] = set()  # published ids that have not ended
+        self._result_log = ResultLog()
         self._lock = Lock()
+
+    def __repr__(self) -> str:
+        frames = self._coordinator.state.next_frame
+        if not frames:
+            return "MultilayerSubtractor(no frame yet)"
+        height, width = self._coordinator.state.epoch.shape
+        objects = sum(one.kind != "background" for one in list(self._layers.values()))
+        return f"MultilayerSubtractor({width}×{height}, frames {frames}, objects {objects})"
 
     def __getstate__(self) -> dict[str, Any]:
         with self._at_work():
@@ -174,7 +192,8 @@ class MultilayerSubtractor:
         Parameters
         ----------
         frame : (H, W, 3) uint8
-            BGR. A frame of another size resets everything but the ids, which are never reused.
+            BGR, or RGB if ``colour`` says so. A frame of another size resets everything but the ids, which
+            are never reused.
         tag : object
             Anything of yours, such as the frame's time or name; its result has it as ``tag``.
         concealed : bool
@@ -207,12 +226,13 @@ class MultilayerSubtractor:
         Parameters
         ----------
         video : path or iterable of (H, W, 3) uint8
-            A file that OpenCV decodes, which is closed at the end or when you stop, or frames, BGR.
+            A file that OpenCV decodes, which is closed at the end or when you stop, or frames as for
+            :meth:`apply`.
 
         Yields
         ------
         frame : (H, W, 3) uint8
-            A copy, which you may draw on.
+            A copy, which you may draw on; BGR, or RGB if ``colour`` says so.
         result : Result
             Of that frame. They come in order, as soon as they are known; only frames that still wait for
             their results are held.
@@ -226,18 +246,23 @@ class MultilayerSubtractor:
         """
         if isinstance(video, (str, PathLike)):
             with closing(video_frames(video)) as frames:
-                yield from self.segment(frames)
+                yield from self.segment(self._recoloured(frame) for frame in frames)
             return
         for frame in video:
             for shown, result in self._step(frame):
-                yield shown.copy(), result
+                yield self._recoloured(shown).copy(), result
         for shown, result in self._finish():
-            yield shown.copy(), result
+            yield self._recoloured(shown).copy(), result
+
+    def _recoloured(self, frame: Array) -> Array:
+        """Change between BGR and the order of the caller's channels."""
+        return frame[..., ::-1] if self._is_rgb else frame
 
     def _step(self, frame: Array, tag: object = None, concealed: bool = False) -> list[tuple[Array, Result]]:
         _say_if_it_compiles()
         if isinstance(frame, np.ndarray):  # the coordinator rejects anything else
-            frame = frame.copy()  # the caller may reuse its buffer
+            # The caller may reuse its buffer.
+            frame = self._recoloured(frame).copy() if frame.ndim == 3 else frame.copy()
             frame.setflags(write=False)
         with self._at_work(), single_threaded():
             index = self._coordinator.state.next_frame
@@ -258,7 +283,9 @@ class MultilayerSubtractor:
             frame, tag = self._waiting.pop(index), self._tags.pop(index)
             published = join_parts(self._label(one, frame))
             possible = self._possible_ids(evidence[place + 1 :])
-            results.append((frame, Result.of(published, tag, self._known, possible)))
+            result = Result.of(published, tag, self._known, possible)
+            self._result_log.note(result)
+            results.append((frame, result))
         return results
 
     def _possible_ids(self, later: Sequence[FrameEvidence]) -> set[int]:

@@ -1,15 +1,16 @@
 """Compiles all kernels, or loads their machine code, before the first frame needs them.
 
-Each process of a stream loads those of its own part. ``python -m mlbs_actors.warm_up`` compiles what every
-run needs, once after an installation, in two processes; existing machine code is only loaded.
+Each process of a stream loads those of its own part. ``python -m mlbs_actors.warm_up`` and
+:func:`compile_kernels` compile what every run needs, once after an installation, in two processes; existing
+machine code is only loaded.
 """
 
 from __future__ import annotations
 
-import multiprocessing
+import os
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
 from functools import partial
 from time import perf_counter
 
@@ -17,7 +18,8 @@ import cv2
 import numpy as np
 
 from mlbs_actors.config import Config, load_config
-from mlbs_actors.kernels.machine_code import compiled_mark
+from mlbs_actors.errors import MlbsError
+from mlbs_actors.kernels.machine_code import compiled_mark, machine_code_folder
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
@@ -28,9 +30,9 @@ from mlbs_actors.messages import (
     readonly,
 )
 
-__all__ = ["main", "warm_coordinator", "warm_layer", "warm_segmenter"]
+__all__ = ["compile_kernels", "main", "warm_coordinator", "warm_layer", "warm_segmenter"]
 
-#: Interval of progress messages, s.
+#: Interval of calls and messages about the progress, s.
 _PROGRESS_SECONDS = 5.0
 
 #: The squares of the small scene: left and top edge in its first frame and motion to the right, px.
@@ -45,24 +47,63 @@ _LAYERS = load_config(None, ["grid.cell_px=5"])
 
 
 def main() -> int:
-    """Warm up in two processes that share the work, and report progress."""
-    started = perf_counter()
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(2, mp_context=context) as pool:
-        pending = {pool.submit(_compile, warm_coordinator), pool.submit(_compile, warm_segmenter, warm_layer)}
-        while pending:
-            done, pending = wait(pending, _PROGRESS_SECONDS, return_when=FIRST_EXCEPTION)
-            for one in done:
-                one.result()
-            if pending:
-                print(f"  compiling for {perf_counter() - started:.0f} s", file=sys.stderr, flush=True)
+    """Compile, and report progress; or, with names of parts as arguments, compile those in this process."""
+    if parts := sys.argv[1:]:
+        for name in parts:
+            _PARTS[name]()
+            compiled_mark(_PARTS[name].__name__).touch()
+        return 0
+
+    def say(seconds: float, kernels: int) -> None:
+        print(f"  compiling for {seconds:.0f} s, {kernels} kernels so far", file=sys.stderr, flush=True)
+
+    compile_kernels(say)
     return 0
 
 
-def _compile(*parts: Callable[[], None]) -> None:
-    for warm in parts:
-        warm()
-        compiled_mark(warm.__name__).touch()
+def compile_kernels(progress: Callable[[float, int], None] | None = None) -> None:
+    """Compile what every run needs, in two processes, so that no first frame has to wait for it.
+
+    It takes one to three minutes on two idle cores, once after an installation; what is compiled already is
+    only loaded.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called every five seconds with the seconds so far and the number of kernels that are compiled; there
+        are about 300. What it raises ends the compilation; what was compiled is kept.
+
+    Raises
+    ------
+    MlbsError
+        If a process failed.
+    ConfigError
+        If there is no folder for the machine code.
+    """
+    started, folder = perf_counter(), machine_code_folder()
+    # Not multiprocessing, which would run the caller's program again if that has no guard for it.
+    command = [sys.executable, "-m", "mlbs_actors.warm_up"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    working = [
+        subprocess.Popen([*command, *parts], env=environment, stderr=subprocess.PIPE, text=True)
+        for parts in (("coordinator",), ("segmenter", "layer"))
+    ]
+    try:
+        for one in working:
+            while True:
+                try:
+                    _, said = one.communicate(timeout=_PROGRESS_SECONDS)
+                    break
+                except subprocess.TimeoutExpired:
+                    if progress is not None:
+                        progress(perf_counter() - started, sum(1 for _ in folder.rglob("*.nbc")))
+            if one.returncode:
+                reason = (said.strip().splitlines() or [f"exit status {one.returncode}"])[-1]
+                raise MlbsError(f"The kernels cannot be compiled: {reason}.")
+    finally:
+        for one in working:
+            one.terminate()  # does nothing to one that has ended
+            one.communicate()
 
 
 def warm_coordinator() -> None:
@@ -252,6 +293,13 @@ def _change_light() -> None:
     before = np.arange(600, dtype=np.uint8).reshape(-1, 3)
     light_change(before, before // 2 + 40)
 
+
+#: Parts of a stream, each with kernels of its own.
+_PARTS: dict[str, Callable[[], None]] = {
+    "coordinator": warm_coordinator,
+    "segmenter": warm_segmenter,
+    "layer": warm_layer,
+}
 
 if __name__ == "__main__":
     sys.exit(main())

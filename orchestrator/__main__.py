@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 
 from orchestrator.command_options import command_parser
 from orchestrator.early_signals import exit_on_signals
+from orchestrator.extra import missing_packages
 from orchestrator.program import command_line_of
 from orchestrator.subcommands import likely_subcommand, overview, subcommand, words_on_namesake
 
 __all__ = ["main"]
-
-#: OpenCV, which nothing requires, as its packages exclude each other, and the modules of the extra ``run``,
-#: which ``MultilayerSubtractor`` alone does not need.
-_NEEDED = ("cv2", "av", "filelock", "jinja2", "PIL", "pyarrow", "pycocotools", "ray", "rich")
 
 _HELP = ("-h", "--help")
 
@@ -37,8 +34,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     run = _streams if chosen is None or chosen.module is None else chosen.main()
     if not set(_HELP).isdisjoint(words):  # also where nothing is installed yet
         return run(words)
-    if missing := [name for name in _NEEDED if importlib.util.find_spec(name) is None]:
-        extras = "run,headless" if "cv2" in missing else "run"
+    missing = missing_packages()
+    # Nothing requires OpenCV, as its packages exclude each other.
+    lacks_opencv = find_spec("cv2") is None
+    if missing or lacks_opencv:
+        missing = ["cv2", *missing] if lacks_opencv else missing
+        extras = "run,headless" if lacks_opencv else "run"
         print(
             f"Packages are missing that it needs ({', '.join(missing)}); pip install 'mlbs-actors[{extras}]'",
             file=sys.stderr,

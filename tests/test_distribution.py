@@ -90,6 +90,25 @@ def test_the_wheel_holds_all_of_both_packages_and_the_configurations_and_nothing
 
 
 @pytest.mark.long
+def test_the_wheel_is_pure_typed_and_without_anything_that_was_compiled_or_tests(built: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    assert wheel.name.endswith("-py3-none-any.whl")
+    held = contents(built)
+    assert {f"{package}/py.typed" for package in PACKAGES} <= held.keys()
+    assert not [
+        name for name in held if re.search(r"__pycache__|\.py[co]$|\.nb[ci]$|\.so$|(^|/)tests?/", name)
+    ]
+
+
+@pytest.mark.long
+def test_the_packages_that_are_installed_fit_together() -> None:
+    checked = subprocess.run(
+        [sys.executable, "-m", "pip", "check"], capture_output=True, text=True, check=False
+    )
+    assert checked.returncode == 0, checked.stdout
+
+
+@pytest.mark.long
 def test_the_sdist_holds_the_tests_and_the_scripts(built: Path) -> None:
     (sdist,) = built.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import pickle
+import re
+import subprocess
+import sys
+from base64 import b64decode
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -15,6 +21,7 @@ from record_fakes import segmentation
 from mlbs_actors import (
     Boxes,
     Config,
+    ConfigError,
     FrameError,
     MlbsError,
     MultilayerSubtractor,
@@ -24,8 +31,12 @@ from mlbs_actors import (
     load_config,
 )
 from mlbs_actors.messages import Array
+from mlbs_actors.pictures import layer_colour
+from mlbs_actors.result_log import ResultLog
 from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.segmentation.attached_parts import PartsState
+
+COLOURS: tuple[Literal["bgr", "rgb"], ...] = ("bgr", "rgb")
 
 
 def pictures_of(name: str, frames: int, first: int = 0) -> list[Array]:
@@ -317,3 +328,94 @@ def test_a_video_that_cannot_be_read_is_refused_in_a_sentence(name: str, tmp_pat
         list(MultilayerSubtractor().segment(path))
     assert isinstance(refused.value, MlbsError)
     assert "secret" not in str(refused.value)
+
+
+def result_of(index: int, *layers: int, **changed: Any) -> Result:
+    values = {one.name: getattr(segmentation(index, *layers), one.name) for one in fields(Segmentation)}
+    return Result(**(values | changed))
+
+
+def test_a_result_shows_itself_in_a_line() -> None:
+    assert repr(result_of(7, 3, 5, born=(5,))) == "Result(frame 7, 50×36, objects 3 5, born 5)"
+    none = result_of(7, 3, layers=(), status="cut", ended=(3, 4))
+    assert repr(none) == "Result(frame 7, 50×36, cut, objects none, ended 3 4)"
+
+
+def test_a_notebook_shows_the_label_map_and_a_row_for_each_object() -> None:
+    html = result_of(7, 3, 5)._repr_html_()
+    (encoded,) = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
+    picture = cv2.imdecode(np.frombuffer(b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    labels = segmentation(7, 3, 5).labels
+    assert picture.shape == (*labels.shape, 3)
+    assert all((picture[labels == layer] == layer_colour(layer)).all() for layer in (3, 5))
+    assert html.count("<tr>") == 3
+    many = [replace(one, layer=number) for number in range(1, 31) for one in segmentation(7).layers]
+    assert "and 10 more" in result_of(7, 3, layers=tuple(many))._repr_html_()
+    wide = result_of(7, labels=np.zeros((720, 1280), np.uint16), layers=())._repr_html_()
+    assert len(wide) < 2000
+
+
+def test_a_subtractor_shows_its_size_and_how_far_it_is() -> None:
+    subtractor = MultilayerSubtractor()
+    assert repr(subtractor) == "MultilayerSubtractor(no frame yet)"
+    found = [one for picture in pictures_of("pan", 8) for one in subtractor.apply(picture)]
+    count = len(found[-1].layers)
+    assert repr(subtractor) == f"MultilayerSubtractor(160×120, frames 8, objects {count})"
+
+
+def test_frames_in_rgb_have_the_same_label_maps_and_come_back_in_rgb(tmp_path: Path) -> None:
+    pictures = pictures_of("pan", 8)
+    swapped = [picture[..., ::-1] for picture in pictures]
+    subtractor = MultilayerSubtractor(colour="rgb")
+    results = [one for picture in swapped[:6] for one in subtractor.apply(picture)]
+    again = pickle.loads(pickle.dumps(subtractor))
+    results += [one for picture in swapped[6:] for one in again.apply(picture)] + again.flush()
+    pairs = list(MultilayerSubtractor(colour="rgb").segment(swapped))
+    for one, other, (frame, third), picture in zip(run(pictures), results, pairs, swapped, strict=True):
+        assert np.array_equal(one.labels, other.labels)
+        assert np.array_equal(one.labels, third.labels)
+        assert np.array_equal(frame, picture)
+        assert frame.flags.writeable
+    video = cv2.VideoWriter(str(tmp_path / "pan.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25, (160, 120), True)
+    for picture in pictures:
+        video.write(picture)
+    video.release()
+    files = (MultilayerSubtractor(colour=order).segment(tmp_path / "pan.avi") for order in COLOURS)
+    for (bgr, one), (rgb, other) in zip(*files, strict=True):
+        assert np.array_equal(bgr, rgb[..., ::-1])
+        assert np.array_equal(one.labels, other.labels)
+    with pytest.raises(ConfigError, match='"bgr" or "rgb", not \'grey\''):
+        MultilayerSubtractor(colour="grey")  # type: ignore[arg-type]
+
+
+def test_the_log_has_new_scenes_lost_motion_and_objects(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG, "mlbs_actors")
+    log = ResultLog()
+    log.note(result_of(0, 3, born=(3,)))
+    log.note(result_of(1, 3))
+    for index, status in enumerate(("untracked", "untracked", "ok", "cut"), 2):
+        log.note(result_of(index, 3, status=status))
+    log.note(result_of(6, 3, labels=np.zeros((10, 20), np.uint16), ended=(3,)))
+    assert [(one.levelname, one.getMessage()) for one in caplog.records] == [
+        ("DEBUG", "frame 0: born [3], ended []"),
+        ("INFO", "frame 2: the camera's motion is lost"),
+        ("INFO", "frame 4: the camera's motion is found again"),
+        ("INFO", "frame 5: a cut, another scene begins"),
+        ("INFO", "frame 6: 20×10 px, so all begins anew"),
+        ("DEBUG", "frame 6: born [], ended [3]"),
+    ]
+    assert {one.name for one in caplog.records} == {"mlbs_actors"}
+
+
+def test_a_stream_writes_its_births_into_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG, "mlbs_actors")
+    results = run(pictures_of("pan", 8))
+    born = [f"frame {one.frame_index}: born {list(one.born)}, ended []" for one in results if one.born]
+    assert [one.getMessage() for one in caplog.records] == born
+
+
+def test_only_warnings_are_seen_where_a_program_sets_up_no_logging() -> None:
+    code = "from mlbs_actors.result_log import LOGGER as log; log.info('quiet'); log.warning('seen')"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (said.stdout, said.stderr) == ("", "seen\n")

@@ -195,7 +195,11 @@ def _from_opencv(first: Array, second: Array, side: int, config: FlowConfig) -> 
 
 
 def _from_function(function: FlowFunction, first: Array, second: Array, side: int) -> Array:
-    flow = np.asarray(function(first, second))
+    returned = function(first, second)
+    try:
+        flow = np.asarray(returned)
+    except ValueError as error:  # such as lists of different lengths
+        raise FrameError(f"The flow function returned what is no array: {error}.") from None
     if flow.shape != (*first.shape[:2], 2) or not np.issubdtype(flow.dtype, np.floating):
         raise FrameError(
             f"The flow function returned {flow.shape} {flow.dtype}; it must return the motion in px of each "

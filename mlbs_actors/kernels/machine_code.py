@@ -20,8 +20,10 @@ __all__ = ["WITHOUT_KERNELS", "compiled_mark", "has_machine_code", "machine_code
 _PACKAGE = Path(__file__).parents[1]
 _FOLDERS = "kernels-*"
 
-#: Folders of the package that no kernel imports anything from.
-WITHOUT_KERNELS = frozenset({"pictures", "record", "scenes"})
+#: Folders and modules of the package that no kernel imports anything from.
+WITHOUT_KERNELS = frozenset(
+    {"__init__.py", "pictures", "record", "result.py", "result_log.py", "scenes", "subtractor.py"}
+)
 
 #: Folders that are kept, for the newest versions of the package.
 _KEPT = 3

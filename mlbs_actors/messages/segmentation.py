@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -77,8 +77,8 @@ class Boxes(NamedTuple):
         Left, top, right and bottom, px; half-open: right and bottom are the first column and row outside.
     """
 
-    ids: Array
-    xyxy: Array
+    ids: np.ndarray[tuple[Any, ...], np.dtype[np.int64]]
+    xyxy: np.ndarray[tuple[Any, ...], np.dtype[np.int32]]
 
 
 @pickled_by_values
@@ -116,7 +116,7 @@ class Segmentation:
     """
 
     frame_index: int
-    labels: Array = field(repr=False)
+    labels: np.ndarray[tuple[Any, ...], np.dtype[np.uint16]] = field(repr=False)
     normaliser: Array = field(repr=False)
     fallback: Array = field(repr=False)
     layers: tuple[LayerSummary, ...]
@@ -125,7 +125,7 @@ class Segmentation:
     stage_ms: Mapping[str, float] = field(default_factory=dict, repr=False)
     status: FrameStatus = "ok"
     picture_index: int | None = None
-    camera: Array | None = field(default=None, repr=False)
+    camera: np.ndarray[tuple[Any, ...], np.dtype[np.float64]] | None = field(default=None, repr=False)
 
     @property
     def evaluated_frame(self) -> int:
@@ -140,7 +140,7 @@ class Segmentation:
         )
         return Boxes(ids, np.stack([left, top, left + width, top + height], axis=1))
 
-    def mask(self, layer: int) -> Array:
+    def mask(self, layer: int) -> np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]:
         """Return which pixels are an object's, (H, W) bool; none if it is not in this frame."""
         return np.asarray(self.labels == layer)
 

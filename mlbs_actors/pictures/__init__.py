@@ -2,5 +2,14 @@
 
 from mlbs_actors.pictures.drawing import Outline, draw_box, draw_caption, draw_labels, draw_outlines
 from mlbs_actors.pictures.layer_colours import layer_colour
+from mlbs_actors.pictures.notebook import label_colours
 
-__all__ = ["Outline", "draw_box", "draw_caption", "draw_labels", "draw_outlines", "layer_colour"]
+__all__ = [
+    "Outline",
+    "draw_box",
+    "draw_caption",
+    "draw_labels",
+    "draw_outlines",
+    "label_colours",
+    "layer_colour",
+]

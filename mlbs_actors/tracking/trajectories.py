@@ -142,7 +142,16 @@ def follow_trajectories(
     count = len(state)
     if count == 0:
         return state, np.zeros(0, np.intp)
-    places, seen = map(np.asarray, function(previous, current, state.positions.copy()))
+    returned = function(previous, current, state.positions.copy())
+    if not isinstance(returned, (tuple, list)) or len(returned) != 2:
+        raise FrameError(
+            f"The tracks function returned {_kind_of(returned)}; it must return two: the places of the "
+            f"points, {(count, 2)} float32, px, and which of them are seen, {(count,)} bool."
+        )
+    try:
+        places, seen = map(np.asarray, returned)
+    except ValueError as error:  # such as lists of different lengths
+        raise FrameError(f"The tracks function returned what is no array: {error}.") from None
     if places.shape != (count, 2) or not np.issubdtype(places.dtype, np.floating):
         raise FrameError(
             f"The tracks function returned places {places.shape} {places.dtype}; it must return that of each "
@@ -161,6 +170,13 @@ def follow_trajectories(
     survivors = np.flatnonzero(seen & inside)
     positions = places[survivors].astype(np.float32)
     return _advanced(state, survivors, positions, state.positions[survivors] - positions), survivors
+
+
+def _kind_of(returned: object) -> str:
+    if isinstance(returned, np.ndarray):
+        return f"one array {returned.shape} {returned.dtype}"
+    name = type(returned).__name__
+    return f"a {name} of {len(returned)}" if isinstance(returned, (tuple, list)) else f"a {name}"
 
 
 def _advanced(state: TrajectoryState, survivors: Array, positions: Array, motions: Array) -> TrajectoryState:

@@ -5,3 +5,7 @@ process that reads a camera), ``wanted`` (events become cuts, purely), ``cutting
 that makes a clip), ``shelf`` (how many clips stay), ``clips`` (the thread beside the driver that sees to all
 of it).
 """
+
+from orchestrator.extra import require_run
+
+require_run()

@@ -45,8 +45,8 @@ class SceneTracker:
 
     Parameters
     ----------
-    folder : Path
-        Of the views.
+    folder : Path, optional
+        Of the views; by default there are none yet.
     rows : int
         Rows of the record that count: later views are forgotten.
     place : ScenePlace, optional
@@ -60,11 +60,11 @@ class SceneTracker:
         None while it is unknown.
     """
 
-    def __init__(self, folder: Path, rows: int, place: ScenePlace | None, pts: float) -> None:
+    def __init__(self, folder: Path | None, rows: int, place: ScenePlace | None, pts: float) -> None:
         self.place = place
         self._pts = pts
         self._views: list[View] = []
-        for path in sorted(folder.glob("*.npz")):
+        for path in () if folder is None else sorted(folder.glob("*.npz")):
             if int(path.stem) < rows:
                 self._views.append(View.read(path))
             else:

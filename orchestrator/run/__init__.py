@@ -7,3 +7,7 @@ an earlier run has left), ``driver`` (the loop), ``admission`` and ``load`` (whi
 they take), ``node_check`` and ``versions`` (which nodes of a cluster can be used), ``stream_state``,
 ``recovery`` (which streams restart), ``run_folder``, ``whole_overlays``.
 """
+
+from orchestrator.extra import require_run
+
+require_run()

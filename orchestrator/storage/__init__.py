@@ -2,3 +2,7 @@
 
 Below :mod:`orchestrator.sinks` and :mod:`orchestrator.run`, which it does not know.
 """
+
+from orchestrator.extra import require_run
+
+require_run()

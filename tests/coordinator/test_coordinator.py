@@ -319,7 +319,9 @@ def test_a_layer_that_lost_its_trajectories_stays_while_the_map_of_two_frames_ag
         feedback = None
         if wanted is not None:
             layers = (summary,) if shown else ()
-            told = Segmentation(wanted, nothing, nothing, nothing.astype(np.int8), layers, (0.0, 0.0), 0)
+            told = Segmentation(
+                wanted, nothing.astype(np.uint16), nothing, nothing.astype(np.int8), layers, (0.0, 0.0), 0
+            )
             feedback = partial(replace, told)
         for one in coordinator.step(t, picture, feedback):
             live[one.frame_index] = 1 in {own.layer for own in one.layers}

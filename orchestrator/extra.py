@@ -1,0 +1,24 @@
+"""The extra ``run``: packages that nearly all of this package needs, and the engine does not."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+__all__ = ["missing_packages", "require_run"]
+
+_PACKAGES = ("av", "filelock", "jinja2", "PIL", "pyarrow", "pycocotools", "ray", "rich")
+
+
+def missing_packages() -> list[str]:
+    """Return the names of the modules of the extra that are not installed."""
+    return [name for name in _PACKAGES if find_spec(name) is None]
+
+
+def require_run() -> None:
+    """Raise MissingPackageError, which is an ImportError, unless the extra is installed."""
+    if missing := missing_packages():
+        from mlbs_actors.errors import MissingPackageError
+
+        raise MissingPackageError(
+            f"Packages are missing that a run needs ({', '.join(missing)}); pip install 'mlbs-actors[run]'."
+        )
