@@ -25,7 +25,7 @@ from mlbs_actors.wording import count_of
 from orchestrator.clips.clips import Clips
 from orchestrator.counts.stream_counts import CountReader
 from orchestrator.credentials import mask
-from orchestrator.events.delivery import Deliveries
+from orchestrator.events.delivery import OUTBOX, Deliveries
 from orchestrator.events.targets import all_targets
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.log import Log
@@ -33,7 +33,7 @@ from orchestrator.monitor.board import Board
 from orchestrator.monitor.ray_metrics import RayMetrics
 from orchestrator.monitor.server import serving
 from orchestrator.options import Arguments
-from orchestrator.program import command_line_of
+from orchestrator.program import command_line_of, python_name
 from orchestrator.progress import progress_for
 from orchestrator.ray_head import RayHead
 from orchestrator.ray_session import joined_ray
@@ -55,6 +55,7 @@ from orchestrator.run.expected_time import words_on_expected_time
 from orchestrator.run.job import Job
 from orchestrator.run.listed_stream import StreamsFile
 from orchestrator.run.node_check import node_places
+from orchestrator.run.publication import Publication
 from orchestrator.run.resumption import (
     ended_before,
     outset_of,
@@ -91,6 +92,7 @@ def run(
     scratch: Path,
     head: RayHead | None,
     log: Log,
+    publication: Publication,
 ) -> int:
     """Segment all streams; return the exit status.
 
@@ -109,6 +111,8 @@ def run(
         Of a Ray of our own, from :func:`orchestrator.ray_session.starting_ray`.
     log : Log
         Receives messages and progress.
+    publication : Publication
+        Has begun.
 
     Raises
     ------
@@ -121,6 +125,7 @@ def run(
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         targets = None if listed.targets is None else all_targets(arguments.events, listed.targets)
         deliveries = Deliveries(targets, folder.path, log.warn, _page_of(arguments), lambda: job.cameras())
+        publication.start({OUTBOX: deliveries.copy_outbox})
         if targets is None:
             log.say("Where events are sent is not known until the list can be read; they wait.", "error")
         begun = None
@@ -156,6 +161,7 @@ def run(
             folder.path / "status.json",
             kept=lambda: retention.figures,
             backlogs=deliveries.backlogs,
+            published=lambda: publication.figures,
         )
         if begun is not None:
             folder.refuse_other(begun, job.description)
@@ -191,7 +197,7 @@ def run(
             onlookers.append(RayMetrics(deliveries.backlogs, counts=CountReader(folder.path).of))
             if arguments.address is None:
                 log.say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
-        onlookers.append(retention)
+        onlookers += [retention, publication]
         if begun is None:
             folder.create(job.description)
             hold.enter_context(folder.locked())
@@ -353,7 +359,7 @@ def _most_at_once(
 
 def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: Arguments) -> str:
     done = sum(state.state == "done" for state in states)
-    lines = [f"{done} of {count_of(len(states), 'stream')} complete. Results: {folder.path}"]
+    lines = [f"{done} of {count_of(len(states), 'stream')} complete. Results: {arguments.results}"]
     lines += [
         f"  {f'line {state.line}, ' if state.line else ''}{state.name} ({state.state}): {state.error}"
         for state in states
@@ -366,11 +372,13 @@ def _closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: 
         for remark in stream_remarks(folder.stream(state.name))
     ]
     begun = [state.name for state in states if state.committed]
-    if begun:
+    if arguments.store is not None:
+        lines.append(f"Fetch them: {python_name()} -m orchestrator.fetch {arguments.store} DIR")
+    elif begun:
         lines.append(f"Look at {what_to_look_at(folder.stream(begun[0]), arguments.save)}")
         lines.append(f"and at {folder.path / 'report.html'}")
     if any(state.interrupted for state in states):
-        given = f"--resume --output {shlex.quote(str(folder.path))}"
+        given = f"--resume --output {shlex.quote(arguments.results)}"
         lines.append(f"To continue what was interrupted, give the same command with {given}.")
     return "\n".join(lines)
 

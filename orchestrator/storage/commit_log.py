@@ -22,7 +22,16 @@ from filelock import FileLock, Timeout
 from mlbs_actors.errors import SinkError
 from orchestrator.storage.durable_files import append_line, replace_file
 
-__all__ = ["COMMIT_LOG", "Commit", "CommitLog", "first_frame", "forget_segment", "permanent", "read_commits"]
+__all__ = [
+    "COMMIT_LOG",
+    "Commit",
+    "CommitLog",
+    "between_commits",
+    "first_frame",
+    "forget_segment",
+    "permanent",
+    "read_commits",
+]
 
 COMMIT_LOG = "commits.jsonl"
 
@@ -99,6 +108,19 @@ def first_frame(folder: Path) -> int:
 def permanent(commits: Sequence[Commit]) -> list[Commit]:
     """Return the lines that a run that resumes goes on from."""
     return [commit for commit in commits if not commit.provisional]
+
+
+@contextmanager
+def between_commits(folder: Path) -> Iterator[None]:
+    """Keep a stream from committing while the ``with`` block looks at its files; that must not last long.
+
+    Raises
+    ------
+    SinkError
+        If another process keeps the lock.
+    """
+    with _locked(folder, _BRIEF_SECONDS):
+        yield
 
 
 def forget_segment(folder: Path, segment: str) -> bool:
