@@ -51,8 +51,10 @@ def fetch(store: ObjectStore, folder: Path) -> int:
     raise StoreError("what is to be read is replaced faster than it can be read")
 
 
-def fetch_files(store: ObjectStore, files: Mapping[str, Sequence[Part]], folder: Path) -> None:
-    """Make a folder of files; it gets its name when it is complete.
+def fetch_files(
+    store: ObjectStore, files: Mapping[str, Sequence[Part]], folder: Path, *, durable: bool = False
+) -> None:
+    """Make a folder of files; it gets its name when it is complete, with ``durable`` also after a power cut.
 
     Raises
     ------
@@ -77,7 +79,8 @@ def fetch_files(store: ObjectStore, files: Mapping[str, Sequence[Part]], folder:
             place += part.size
     with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
         list(pool.map(lambda key: _fetch_object(store, key, wanted[key]), wanted))
-    os.sync()  # a power cut must not leave half of it under its name
+    if durable:
+        os.sync()
     draft.rename(folder)
 
 

@@ -155,4 +155,4 @@ class Publication:
             log.say(
                 f"Fetching what was published at {address}: {len(found.files)} files, {size / 1e6:,.0f} MB."
             )
-        fetch_files(store, found.files, self._folder)
+        fetch_files(store, found.files, self._folder, durable=True)
