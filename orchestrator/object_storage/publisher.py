@@ -37,6 +37,9 @@ _GRACE_SECONDS = 60.0
 
 _REQUESTS_AT_ONCE = 8
 
+#: How long a run that is ended at once waits for the request under way, s.
+_ABANDON_SECONDS = 2.0
+
 
 @dataclass(slots=True)
 class _Garbage:
@@ -114,7 +117,7 @@ class Publisher:
         self._away_since: float | None = None
         self._reason = ""
         self._fault: Exception | None = None
-        self._ending = threading.Event()
+        self._ending, self._abandoned = threading.Event(), threading.Event()
         self._working = threading.Thread(target=self._work, daemon=True)
 
     def start(self) -> None:
@@ -143,6 +146,12 @@ class Publisher:
             )
         if self._fault is not None:
             raise SinkError(f"Publishing to {self._address} failed unexpectedly: {self._fault!r}.")
+
+    def abandon(self) -> None:
+        """Publish nothing more: what is published counts, and nobody is told that there will be no other."""
+        self._abandoned.set()
+        self._ending.set()
+        self._working.join(_ABANDON_SECONDS)
 
     def finish(self, seconds: float) -> None:
         """Publish the last state, and say that there will be no other.
@@ -224,6 +233,8 @@ class Publisher:
     def _work(self) -> None:
         failures = 0
         while True:
+            if self._abandoned.is_set():
+                return
             last = self._ending.is_set()
             try:
                 self.publish(last=last)

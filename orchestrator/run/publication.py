@@ -108,6 +108,8 @@ class Publication:
         """Publish the last state, unless the run is ended at once."""
         with self._hold:
             if not (kind is None or issubclass(kind, MlbsError)):
+                if self._publisher is not None:
+                    self._publisher.abandon()
                 return
             if self._publisher is None:
                 if self._ledger is not None:  # nothing has changed
