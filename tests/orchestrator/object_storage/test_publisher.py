@@ -146,7 +146,9 @@ def test_a_store_that_is_away_for_a_while_loses_nothing(bench: Bench) -> None:
     (masks / "0.png").unlink()
     bench.store.be_there()
     bench.publisher.publish()
-    assert {name for name in bench.found("it") if "masks" in name} == {f"gate/masks/{i}.png" for i in (1, 2, 3)}
+    assert {name for name in bench.found("it") if "masks" in name} == {
+        f"gate/masks/{i}.png" for i in (1, 2, 3)
+    }
     assert bench.publisher.figures["waiting_bytes"] == 0
 
 
@@ -166,8 +168,8 @@ def test_a_run_at_its_end_waits_for_the_store(bench: Bench, monkeypatch: pytest.
     assert bench.found("it")["report.html"] == b"the end"
     assert read_standing(bench.store).ended
     assert bench.said == [
-        "Nothing can be published to s3://b/run: no route to the store. The run goes on; its results wait on this "
-        "machine.",
+        "Nothing can be published to s3://b/run: no route to the store. The run goes on; its results wait on "
+        "this machine.",
         "s3://b/run can be written again; all results are there.",
     ]
 

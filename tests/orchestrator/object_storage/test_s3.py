@@ -121,5 +121,7 @@ def test_a_run_that_is_killed_goes_on_on_another_disk(bucket: str, tmp_path: Pat
     assert read_commits(found)[-1].last == read_commits(plain)[-1].last == FRAMES - 1
     for name in ("objects.csv", "events.jsonl"):
         assert (found / name).read_bytes() == (plain / name).read_bytes()
-    texts = [path for path in tmp_path.rglob("*") if path.is_file() and path.suffix in (".log", ".json", ".html")]
+    texts = [
+        path for path in tmp_path.rglob("*") if path.is_file() and path.suffix in (".log", ".json", ".html")
+    ]
     assert not [path for path in texts if SECRET in path.read_text(encoding="utf-8")]

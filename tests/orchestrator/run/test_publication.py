@@ -44,11 +44,12 @@ def asked(disk: Path, *more: str) -> list[str]:
     return ["demo", "--output", ADDRESS, "--scratch", str(disk), *more]
 
 
-def run(argv: list[str], work: Callable[[Arguments], None]) -> None:
-    """A run that does this in its folder."""
+def run(argv: list[str], work: Callable[[Arguments], None], *, start: bool = True) -> None:
+    """A run that does this in its folder, where it publishes from the start."""
     with Publication() as publication:
         arguments = parse(argv, publication.begin)
-        publication.start({})
+        if start:
+            publication.start({})
         work(arguments)
 
 
@@ -63,7 +64,7 @@ def test_a_run_that_has_come_to_its_end_is_in_the_store_and_no_more_on_the_disk(
     store: MemoryStore, tmp_path: Path
 ) -> None:
     run(asked(tmp_path / "disk"), ended)
-    assert not [path for path in (tmp_path / "disk").rglob("*.png")]
+    assert not list((tmp_path / "disk").rglob("*.png"))
     fetch(store, tmp_path / "found")
     assert len(list((tmp_path / "found/street/masks").iterdir())) == 39
     assert read_standing(store).ended
@@ -126,15 +127,20 @@ def test_a_folder_that_somebody_else_has_gone_on_from_is_left_for_what_is_publis
 def test_an_address_that_holds_a_run_is_refused_without_resume(store: MemoryStore, tmp_path: Path) -> None:
     run(asked(tmp_path / "disk"), ended)
     before = dict(store.objects)
-    with pytest.raises(ConfigError, match=f"{ADDRESS} holds a run already; .* continue that run with --resume"):
+    with pytest.raises(
+        ConfigError, match=f"{ADDRESS} holds a run already; .* continue that run with --resume"
+    ):
         run(asked(tmp_path / "other"), ended)
     assert store.objects == before
 
 
 def test_a_run_that_cannot_begin_lets_the_address_go(store: MemoryStore, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no list"), Publication() as publication:
-        parse(asked(tmp_path / "disk"), publication.begin)
+    def fail(arguments: Arguments) -> None:
+        assert not read_standing(store).ended
         raise ConfigError("no list")
+
+    with pytest.raises(ConfigError, match="no list"):
+        run(asked(tmp_path / "disk"), fail, start=False)
     assert read_standing(store).ended
 
 
@@ -197,5 +203,3 @@ def test_the_outbox_is_copied_whether_it_is_in_use_or_not(tmp_path: Path) -> Non
     (tmp_path / OUTBOX).write_bytes(b"no database, however long it is, and this is long enough" * 90)
     with pytest.raises(OSError, match="cannot be copied"):
         deliveries.copy_outbox(tmp_path / "damaged")
-
-
