@@ -15,6 +15,7 @@ from orchestrator.ray_session import ray_settings, starting_ray
 from orchestrator.run.argument_streams import argument_streams
 from orchestrator.run.file_watch import stamp_of
 from orchestrator.run.listed_stream import StreamsFile
+from orchestrator.run.publication import Publication
 from orchestrator.run.resumption import earlier_streams, is_known
 from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.stream_list import (
@@ -42,45 +43,10 @@ def run_command(argv: Sequence[str]) -> int:
     """
     log = Log()
     try:
-        arguments = parse(argv)
-        log = Log(arguments.log, str(arguments.output.resolve()))
-        if arguments.zones.fault is not None:
-            log.warn(arguments.zones.fault)
-        before = _begun(arguments)
-        listed = _listed(arguments, before, log)
-        names = [stream.name for stream in listed.streams]
-        streams = (*listed.streams, *argument_streams(arguments.sources, names))
-        listed = replace(listed, streams=streams)
-        for fault in arguments.ignore.faults:
-            if before is None:
-                raise ConfigError(fault)
-            log.say(f"{fault} Until it can be read at a start, nothing is ignored there.", "error")
-        unknown = sorted(arguments.ignore.streams - {stream.name for stream in streams})
-        if unknown and not arguments.watch:
-            raise ConfigError(f"--ignore names the stream {unknown[0]!r}, which is not one of this run.")
-        unknown = sorted(arguments.zones.streams - {stream.name for stream in streams})
-        if unknown and not arguments.watch:
-            raise ConfigError(f"--zones names the stream {unknown[0]!r}, which is not one of this run.")
-        if unknown:
-            log.warn(f"--zones names {', '.join(unknown)}, not streams of this run at present.")
-        cameras = [stream for stream in streams if stream.source.live]
-        if arguments.segment is not None and not arguments.watch and not cameras:
-            raise ConfigError(
-                "--segment and --keep are for cameras, of which this run has none; leave them out. "
-                "The record of a file is always kept whole."
-            )
-        config = _parameters(arguments, before, log)
-        missing = missing_sources(streams)
-        if before is None:
-            refuse_if_all(arguments.streams, streams, missing)
-        with (
-            ray_settings(arguments.address) as scratch,
-            starting_ray(arguments.address, scratch, arguments.ray_metrics) as head,
-        ):
-            # Imported here, because it imports Ray, which reads its settings then.
-            from orchestrator.run.run import run
-
-            return run(arguments, listed, missing, config, scratch, head, log)
+        with Publication() as publication:
+            arguments = parse(argv, publication.begin)
+            log = Log(arguments.log, arguments.results)
+            return _run(arguments, publication, log)
     except ConfigError as error:
         log.say(str(error), "error")
         return 2
@@ -93,6 +59,47 @@ def run_command(argv: Sequence[str]) -> int:
             "To continue, give the same command with --resume."
         )
         return 128 + stop.signal_number
+
+
+def _run(arguments: Arguments, publication: Publication, log: Log) -> int:
+    """Check what is asked for, and run it; return the exit status."""
+    if arguments.zones.fault is not None:
+        log.warn(arguments.zones.fault)
+    before = _begun(arguments)
+    listed = _listed(arguments, before, log)
+    names = [stream.name for stream in listed.streams]
+    streams = (*listed.streams, *argument_streams(arguments.sources, names))
+    listed = replace(listed, streams=streams)
+    for fault in arguments.ignore.faults:
+        if before is None:
+            raise ConfigError(fault)
+        log.say(f"{fault} Until it can be read at a start, nothing is ignored there.", "error")
+    unknown = sorted(arguments.ignore.streams - {stream.name for stream in streams})
+    if unknown and not arguments.watch:
+        raise ConfigError(f"--ignore names the stream {unknown[0]!r}, which is not one of this run.")
+    unknown = sorted(arguments.zones.streams - {stream.name for stream in streams})
+    if unknown and not arguments.watch:
+        raise ConfigError(f"--zones names the stream {unknown[0]!r}, which is not one of this run.")
+    if unknown:
+        log.warn(f"--zones names {', '.join(unknown)}, not streams of this run at present.")
+    cameras = [stream for stream in streams if stream.source.live]
+    if arguments.segment is not None and not arguments.watch and not cameras:
+        raise ConfigError(
+            "--segment and --keep are for cameras, of which this run has none; leave them out. "
+            "The record of a file is always kept whole."
+        )
+    config = _parameters(arguments, before, log)
+    missing = missing_sources(streams)
+    if before is None:
+        refuse_if_all(arguments.streams, streams, missing)
+    with (
+        ray_settings(arguments.address) as scratch,
+        starting_ray(arguments.address, scratch, arguments.ray_metrics) as head,
+    ):
+        # Imported here, because it imports Ray, which reads its settings then.
+        from orchestrator.run.run import run
+
+        return run(arguments, listed, missing, config, scratch, head, log, publication)
 
 
 def _begun(arguments: Arguments) -> RunFolder | None:

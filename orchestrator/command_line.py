@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,9 @@ from mlbs_actors.errors import ConfigError
 from orchestrator.command_options import command_parser, flag_of
 from orchestrator.events.zones import ZonesFile, read_zones
 from orchestrator.mistaken_flags import refuse_source_behind, unknown_flag
+from orchestrator.object_storage.address import StoreAddress, scratch_place
 from orchestrator.option import Form
-from orchestrator.options import DEFAULT_OUTPUT, Arguments, options
+from orchestrator.options import Arguments, options
 from orchestrator.program import command_line_of
 from orchestrator.run.argument_streams import DEMO, argument_address, default_output
 from orchestrator.run.edited_files import newest_version
@@ -23,8 +24,14 @@ from orchestrator.run.retention_limits import segment_with
 __all__ = ["command_again", "parse"]
 
 
-def parse(argv: Sequence[str]) -> Arguments:
+def parse(argv: Sequence[str], begin: Callable[[Arguments], None] = lambda _: None) -> Arguments:
     """Read the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str
+    begin : callable
+        Makes the output folder what it has to be, before what an earlier run has left there is read.
 
     Raises
     ------
@@ -54,11 +61,17 @@ def parse(argv: Sequence[str]) -> Arguments:
         values["sources"] = (DEMO,)
     if given.output is None and given.streams is None:
         values["output"] = default_output(values["sources"], resume=given.resume)
-    resumed = values.get("output", DEFAULT_OUTPUT) if given.resume else None
-    values["zones"] = _zones(values.get("zones"), resumed)
-    arguments = Arguments(**values)
+    if isinstance(store := values.get("output"), StoreAddress):
+        values |= {"store": store, "output": scratch_place(store, values.get("scratch")) / "run"}
+    zones = values.pop("zones", None)
+    arguments = Arguments(**values, zones=ZonesFile())
     _refuse_together(arguments)
-    return replace(arguments, segment=segment_with(arguments.segment, arguments.keep))
+    begin(arguments)
+    return replace(
+        arguments,
+        zones=_zones(zones, arguments.output if arguments.resume else None),
+        segment=segment_with(arguments.segment, arguments.keep),
+    )
 
 
 def command_again(arguments: Arguments, output: str) -> list[str]:
@@ -87,6 +100,8 @@ def _refuse_together(arguments: Arguments) -> None:
         )
     if arguments.make and "parquet" not in arguments.save:
         raise ConfigError("--make reads the tables; add parquet to --save.")
+    if arguments.scratch is not None and arguments.store is None:
+        raise ConfigError("--scratch is for an object store as --output; a folder needs none. Leave it out.")
     if arguments.private and "cutouts" in arguments.save:
         raise ConfigError("--save cutouts cuts out what --private hides; leave one of them out.")
     if arguments.private and arguments.clips is not None:

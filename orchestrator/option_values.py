@@ -15,6 +15,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from orchestrator.credentials import mask
 from orchestrator.log import FORMATS, LogFormat
 from orchestrator.monitor.address import MonitorAddress
+from orchestrator.object_storage.address import StoreAddress, parse_store_address
 
 if TYPE_CHECKING:
     from orchestrator.clips.settings import ClipSettings
@@ -77,20 +78,21 @@ def _number(text: str, least: int) -> int:
     return int(text)
 
 
-def folder(text: str) -> Path:
-    """Read the path of a folder of this machine."""
+def output(text: str) -> Path | StoreAddress:
+    """Read the path of a folder of this machine, or the address of an object store."""
     if text[1:3] in (":\\", ":/"):
         there = shlex.quote(f"/mnt/{text[0].lower()}/" + text[3:].replace(chr(92), "/"))
         raise ValueError(
             f"takes a folder of this machine, not {text!r}; where WSL has the drives of Windows: "
             f"--output {there}"
         )
-    if "://" in text:
+    address = parse_store_address(text)
+    if address is None and "://" in text:
         raise ValueError(
-            f"takes a folder of this machine, not {mask(text)!r}; mount the storage and name the folder, or "
-            "copy the results there afterwards."
+            f"takes a folder of this machine, or an object store at s3://, gs://, az:// or abfs://, not "
+            f"{mask(text)!r}; mount the storage and name the folder, or copy the results there afterwards."
         )
-    return Path(text)
+    return address or Path(text)
 
 
 def cluster_address(text: str) -> str:

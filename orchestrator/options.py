@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from orchestrator.events.targets import EventTarget
     from orchestrator.events.zones import ZonesFile
     from orchestrator.ignored import Ignored
+    from orchestrator.object_storage.address import StoreAddress
     from orchestrator.run.retention_limits import Keep
 
 __all__ = ["DEFAULT_OUTPUT", "Arguments", "options", "recorded"]
@@ -36,6 +37,9 @@ class Arguments:
     #: Videos and other sources, named as arguments.
     sources: tuple[str, ...] = ()
 
+    #: Where the results are published that are in the folder ``output``, if they are.
+    store: "StoreAddress | None" = None
+
     streams: Annotated[
         Path | None,
         Option(
@@ -49,15 +53,27 @@ class Arguments:
     output: Annotated[
         Path,
         Option(
-            "folder for the results; one that holds a run is refused without --resume (default: out; "
+            "folder for the results, or s3://BUCKET/PREFIX (gs, az, abfs) to publish them in an object "
+            "store; one that holds a run is refused without --resume (default: out; "
             "without a list, NAME-objects beside a single file or folder; and if that is there, out-2"
             " and so on, with --resume the last one)",
             "DIR",
-            read=values.folder,
+            read=values.output,
             effect=Effect.FIXED,
             page="command_line.md#where-the-results-go",
         ),
     ] = DEFAULT_OUTPUT
+    scratch: Annotated[
+        Path | None,
+        Option(
+            "with an object store as --output, where the run's folder is made that is published from there "
+            "(default: ~/.cache/mlbs-actors)",
+            "DIR",
+            read=Path,
+            write=values.absolute,
+            page="object_storage.md",
+        ),
+    ] = None
     config: Annotated[
         Path | None,
         Option(
@@ -352,6 +368,11 @@ class Arguments:
             page="command_line.md#what-is-printed",
         ),
     ] = "text"
+
+    @property
+    def results(self) -> str:
+        """Where the user finds the results."""
+        return str(self.store or self.output.resolve())
 
 
 def options() -> Iterator[tuple[str, Option]]:

@@ -81,6 +81,7 @@ _SUBCOMMANDS = (
         "write report.html anew, also of a run that was killed",
         "orchestrator.report.__main__",
     ),
+    Subcommand("fetch", "ADDRESS DIR", "DIR as it was published in an object store", "orchestrator.fetch"),
     Subcommand("evaluate", "...", "score label maps against truth", "orchestrator.evaluation.__main__"),
     Subcommand(
         "disk-use", "DIR", "bytes a frame and GB a day of each stream", "orchestrator.disk_use.__main__"

@@ -200,6 +200,26 @@ class Deliveries:
             else:
                 (self._folder / before).rename(self._folder / now)
 
+    def copy_outbox(self, path: Path) -> bool:
+        """Write what is still to be sent to another file; return whether there is an outbox.
+
+        Raises
+        ------
+        OSError
+            If the disk does not allow it.
+        """
+        with self._lock:
+            there = self._folder / OUTBOX
+            try:
+                if self._mail is not None and self._last is None:
+                    self._mail.outbox.copy_to(path)
+                elif there.exists():
+                    with closing(Outbox(there)) as outbox:
+                        outbox.copy_to(path)
+            except sqlite3.Error as error:
+                raise OSError(f"{there} cannot be copied: {error}") from None
+            return path.exists()
+
     def backlogs(self) -> list[Backlog]:
         """Return what each target has not acknowledged, as far as the disk can be read."""
         if self._mail is None or self._last is not None:

@@ -16,6 +16,7 @@ import json
 import sqlite3
 import threading
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,6 +107,11 @@ class Outbox:
         """Close the file."""
         with self._lock:
             self._db.close()
+
+    def copy_to(self, path: Path) -> None:
+        """Write what it holds now to another file."""
+        with self._lock, closing(sqlite3.connect(path)) as copy:
+            self._db.backup(copy)
 
     def standing(self, target: str) -> Standing:
         """Return how far a target is; that takes milliseconds even if a hundred thousand events wait."""

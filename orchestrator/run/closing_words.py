@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mlbs_actors.wording import count_of
 from orchestrator.options import Arguments
+from orchestrator.program import command_line_of
 from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.overlay import overlays, stream_remarks
@@ -19,7 +20,7 @@ __all__ = ["closing_words", "what_to_look_at"]
 def closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: Arguments) -> str:
     """Return what a run says last: how many streams are complete, what others lack, where to look."""
     done = sum(state.state == "done" for state in states)
-    lines = [f"{done} of {count_of(len(states), 'stream')} complete. Results: {folder.path}"]
+    lines = [f"{done} of {count_of(len(states), 'stream')} complete. Results: {arguments.results}"]
     lines += [
         f"  {f'line {state.line}, ' if state.line else ''}{state.name} ({state.state}): {state.error}"
         for state in states
@@ -37,11 +38,13 @@ def closing_words(folder: RunFolder, states: Sequence[StreamState], arguments: A
         for remark in stream_remarks(folder.stream(state.name))
     ]
     begun = [state.name for state in states if state.committed]
-    if begun:
+    if arguments.store is not None:
+        lines.append(f"Fetch them: {command_line_of('fetch', arguments.results, 'DIR')}")
+    elif begun:
         lines.append(f"Look at {what_to_look_at(folder.stream(begun[0]), arguments.save)}")
         lines.append(f"and at {folder.path / 'report.html'}")
     if any(state.interrupted for state in states):
-        given = f"--resume --output {shlex.quote(str(folder.path))}"
+        given = f"--resume --output {shlex.quote(arguments.results)}"
         lines.append(f"To continue what was interrupted, give the same command with {given}.")
     return "\n".join(lines)
 

@@ -277,7 +277,7 @@ class Job:
     def _described(self, before: Mapping[str, Any] | None) -> dict[str, Any]:
         given = self._arguments
         asked = recorded({name: getattr(given, name) for name in given.__slots__})
-        command = command_again(given, f"{self._folder.path}-again")
+        command = command_again(given, f"{given.results}-again")
         description = describe_run(list(self._streams.values()), self._config, asked, command, before)
         shared = description | settings_of(_NOBODY, given, self._config).described()
         own = {

@@ -24,7 +24,7 @@ from mlbs_actors.wording import count_of
 from orchestrator.clips.clips import Clips
 from orchestrator.counts.stream_counts import CountReader
 from orchestrator.credentials import mask
-from orchestrator.events.delivery import Deliveries
+from orchestrator.events.delivery import OUTBOX, Deliveries
 from orchestrator.events.targets import all_targets
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.log import Log
@@ -56,6 +56,7 @@ from orchestrator.run.job import Job
 from orchestrator.run.listed_stream import StreamsFile
 from orchestrator.run.makings import make_of_all
 from orchestrator.run.node_check import node_places
+from orchestrator.run.publication import Publication
 from orchestrator.run.resumption import (
     ended_before,
     outset_of,
@@ -87,6 +88,7 @@ def run(
     scratch: Path,
     head: RayHead | None,
     log: Log,
+    publication: Publication,
 ) -> int:
     """Segment all streams; return the exit status.
 
@@ -105,6 +107,8 @@ def run(
         Of a Ray of our own, from :func:`orchestrator.ray_session.starting_ray`.
     log : Log
         Receives messages and progress.
+    publication : Publication
+        Has begun.
 
     Raises
     ------
@@ -117,6 +121,7 @@ def run(
     with ExitStack() as hold, ExitStack() as session:  # the folder is locked until its last file is written
         targets = None if listed.targets is None else all_targets(arguments.events, listed.targets)
         deliveries = Deliveries(targets, folder.path, log.warn, _page_of(arguments), lambda: job.cameras())
+        publication.start({OUTBOX: deliveries.copy_outbox})
         if targets is None:
             log.say("Where events are sent is not known until the list can be read; they wait.", "error")
         begun = None
@@ -152,6 +157,7 @@ def run(
             folder.path / "status.json",
             kept=lambda: retention.figures,
             backlogs=deliveries.backlogs,
+            published=lambda: publication.figures,
         )
         if begun is not None:
             folder.refuse_other(begun, job.description)
@@ -187,7 +193,7 @@ def run(
             onlookers.append(RayMetrics(deliveries.backlogs, counts=CountReader(folder.path).of))
             if arguments.address is None:
                 log.say(f"Metrics for Prometheus at http://127.0.0.1:{arguments.ray_metrics}/metrics")
-        onlookers.append(retention)
+        onlookers += [retention, publication]
         if begun is None:
             folder.create(job.description)
             hold.enter_context(folder.locked())

@@ -216,6 +216,8 @@ class StatusFile:
         Returns what :class:`orchestrator.run.retention.Retention` has done; None if all is kept.
     backlogs : callable, optional
         Returns what the targets of events have not acknowledged.
+    published : callable, optional
+        Returns how far the object store is; None without one.
 
     Attributes
     ----------
@@ -230,11 +232,13 @@ class StatusFile:
         clock: Callable[[], float] = time.monotonic,
         kept: Callable[[], Mapping[str, Any] | None] = lambda: None,
         backlogs: Callable[[], Sequence[Backlog]] = list,
+        published: Callable[[], Mapping[str, Any] | None] = lambda: None,
     ) -> None:
         self.stopping: Callable[[], bool] = lambda: False
         self._path = path
         self._kept = kept
         self._backlogs = backlogs
+        self._published = published
         self._clock = clock
         self._written_at: float | None = None
         self._written_as_stopping = False
@@ -276,6 +280,8 @@ class StatusFile:
             "events": [backlog.figures() for backlog in self._backlogs()],
             "streams": streams,
         }
+        if (published := self._published()) is not None:
+            status["published"] = published
         replace_file(self._path, (json.dumps(status, indent=1) + "\n").encode())
 
 

@@ -23,7 +23,7 @@ from mlbs_actors.errors import SinkError
 from mlbs_actors.record.commits import COMMIT_LOG, Commit, permanent, read_commits
 from orchestrator.storage.durable_files import append_line, replace_file
 
-__all__ = ["CommitLog", "forget_segment"]
+__all__ = ["CommitLog", "between_commits", "forget_segment"]
 
 _GENERATION, _LOCK = ".generation", ".lock"
 
@@ -32,6 +32,19 @@ _LOCK_SECONDS = 10.0
 
 #: The same for what can be tried again later, s.
 _BRIEF_SECONDS = 1.0
+
+
+@contextmanager
+def between_commits(folder: Path) -> Iterator[None]:
+    """Keep a stream from committing while the ``with`` block looks at its files; that must not last long.
+
+    Raises
+    ------
+    SinkError
+        If another process keeps the lock.
+    """
+    with _locked(folder, _BRIEF_SECONDS):
+        yield
 
 
 def forget_segment(folder: Path, segment: str) -> bool:

@@ -1,0 +1,194 @@
+"""A state of a run's folder that fits together, taken while the run goes on.
+
+It is one that a kill could have left, so that a run resumes from it as from that. A stream's files are taken
+under the lock of its commits: between two of them. They are linked, not copied, so that lasts milliseconds,
+and what is deleted or replaced meanwhile stays there. The files of the whole run are taken before those of
+the streams: as after a kill, ``status.json`` may be behind the records, but never ahead of them.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from mlbs_actors.errors import SinkError
+from orchestrator.storage.commit_log import Commit, between_commits, permanent, read_commits
+from orchestrator.storage.segments import segment_folders
+from orchestrator.storage.snapshot_folder import SNAPSHOTS
+
+__all__ = ["HeldFile", "HeldFiles"]
+
+#: In a stream's folder: locks, and a camera's own packets, which go within two minutes.
+_NOT_KEPT = (".lock", ".packets")
+
+#: File by which the folder of a stream's record is known.
+_RECORD = ".generation"
+
+#: How often a stream is taken anew because files went without the lock, as snapshots do at its end.
+_ATTEMPTS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class HeldFile:
+    """A file of the run, as it was.
+
+    Attributes
+    ----------
+    size : int
+        How many of its bytes count.
+    inode, changed : int
+        Which file it is, and when it was written last, ns: they tell that it is the same as before.
+    growing : bool
+        Whether it is only ever appended to, as long as it is the same one.
+    cut : bool
+        Of a growing one: whether a stream that goes back cuts it off, and goes on with other bytes.
+    """
+
+    size: int
+    inode: int
+    changed: int
+    growing: bool = False
+    cut: bool = False
+
+
+class HeldFiles:
+    """Takes the state of a run's folder again and again.
+
+    Parameters
+    ----------
+    run : Path
+        The run's folder.
+    place : Path
+        Folder on the same file system for the links; emptied.
+    """
+
+    def __init__(self, run: Path, place: Path) -> None:
+        self._run = run
+        self._place = place
+        shutil.rmtree(place, ignore_errors=True)
+
+    def take(
+        self, known: Mapping[str, HeldFile], copies: Mapping[str, Callable[[Path], bool]]
+    ) -> dict[str, HeldFile]:
+        """Return all files by their paths in the run's folder; those that are not known so are linked.
+
+        Parameters
+        ----------
+        known : mapping of str to HeldFile
+        copies : mapping of str to callable
+            Names of hidden files of the whole run → what writes a copy to a path, if there is one.
+
+        Raises
+        ------
+        OSError, SinkError
+            If a stream does not let itself be taken, or the disk does not allow it; then nothing is held.
+        """
+        self.drop()
+        try:
+            self._place.mkdir(parents=True)
+            taken: dict[str, HeldFile] = {}
+            for name, copy in copies.items():
+                if copy(self._place / name):
+                    taken[name] = _as_it_is(self._place / name)
+            with suppress(FileNotFoundError):  # the run has not begun
+                for entry in sorted(self._run.iterdir()):
+                    if entry.is_file() and not entry.name.startswith("."):
+                        self._link(entry.name, _as_it_is(entry), known, taken)
+                for folder in sorted(path.parent for path in self._run.glob(f"*/{_RECORD}")):
+                    taken |= self._stream(folder, known)
+        except BaseException:
+            self.drop()
+            raise
+        return taken
+
+    def path(self, name: str) -> Path:
+        """Return where the content of a file is that was linked; OSError in use if it was not."""
+        return self._place / name
+
+    def drop(self) -> None:
+        """Hold nothing any more."""
+        shutil.rmtree(self._place, ignore_errors=True)
+
+    def _stream(self, folder: Path, known: Mapping[str, HeldFile]) -> dict[str, HeldFile]:
+        for _ in range(_ATTEMPTS):
+            taken: dict[str, HeldFile] = {}
+            with between_commits(folder), suppress(FileNotFoundError):
+                for path, held in _files_of(folder):
+                    self._link(path.relative_to(self._run).as_posix(), held, known, taken)
+                return taken
+            shutil.rmtree(self._place / folder.name, ignore_errors=True)
+        raise SinkError(f"The files in {folder} go while they are looked at.")
+
+    def _link(
+        self, name: str, held: HeldFile, known: Mapping[str, HeldFile], taken: dict[str, HeldFile]
+    ) -> None:
+        taken[name] = held
+        if known.get(name) != held:
+            target = self._place / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if held.cut:
+                shutil.copyfile(self._run / name, target)
+            else:
+                os.link(self._run / name, target)
+
+
+def _as_it_is(path: Path, *, growing: bool = False) -> HeldFile:
+    stat = path.stat()
+    return HeldFile(stat.st_size, stat.st_ino, stat.st_mtime_ns, growing, cut=growing)
+
+
+def _files_of(stream: Path) -> Iterator[tuple[Path, HeldFile]]:
+    """Yield the files of a stream that a resumed run needs or a user wants."""
+    commits = read_commits(stream)
+    segments = {one.segment: one for one in commits if one.segment is not None}  # the last line of each
+    closed = {one.segment for one in commits if one.merged}
+    folders = {path.name for path in segment_folders(stream)}
+    snapshot = _snapshot(commits)
+    with os.scandir(stream) as entries:
+        names = sorted(entry.name for entry in entries)
+    for name in names:
+        path = stream / name
+        if name in _NOT_KEPT or _is_draft(name):
+            continue
+        if name == SNAPSHOTS:
+            if snapshot is not None:
+                yield from _below(path / snapshot)
+        elif name in folders:
+            if name in segments:
+                yield from _of_segment(path, segments[name], is_closed=name in closed)
+        elif path.is_dir():
+            yield from _below(path)
+        else:
+            yield path, _as_it_is(path, growing=path.suffix == ".jsonl")
+
+
+def _of_segment(folder: Path, last: Commit, *, is_closed: bool) -> Iterator[tuple[Path, HeldFile]]:
+    for path, held in _below(folder):
+        if path.suffix == ".tar" and not is_closed:
+            counts = last.archived.get(path.stem, 0)
+            yield path, HeldFile(counts, held.inode, held.changed, growing=True)
+        elif path.suffix == ".mp4" and not is_closed:
+            yield path, HeldFile(held.size, held.inode, held.changed, growing=True)
+        else:
+            yield path, held
+
+
+def _below(folder: Path) -> Iterator[tuple[Path, HeldFile]]:
+    for place, _, names in os.walk(folder):
+        for name in sorted(names):
+            if not _is_draft(name):
+                yield Path(place, name), _as_it_is(Path(place, name))
+
+
+def _snapshot(commits: list[Commit]) -> str | None:
+    """Return the one that a run resumes from: older ones are for damage to the disk."""
+    lasting = permanent(commits)
+    return lasting[-1].snapshot if lasting else None
+
+
+def _is_draft(name: str) -> bool:
+    return name.startswith(".") and name.endswith(".part")

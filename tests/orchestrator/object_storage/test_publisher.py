@@ -1,0 +1,188 @@
+"""Publishing a folder that changes: what is written, and what becomes of it when the store is away."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from memory_store import MemoryStore
+
+from orchestrator.object_storage import publisher as publisher_module
+from orchestrator.object_storage.fetching import fetch
+from orchestrator.object_storage.held_files import HeldFiles
+from orchestrator.object_storage.ledger import Ledger, read_standing
+from orchestrator.object_storage.manifest import OBJECTS
+from orchestrator.object_storage.publisher import Publisher
+from orchestrator.object_storage.store import StoreError
+
+
+class Bench:
+    """A folder with one stream, and its publisher."""
+
+    def __init__(self, disk: Path) -> None:
+        self.store = MemoryStore()
+        self.run = disk / "run"
+        self.stream = self.run / "gate"
+        self.stream.mkdir(parents=True)
+        (self.stream / ".generation").write_text("0\n")
+        self.disk = disk
+        self.said: list[str] = []
+        self.clock = 0.0
+        self.ledger = Ledger(self.store, read_standing(self.store), "me", "s3://b/run")
+        self.publisher = Publisher(
+            self.store,
+            self.ledger,
+            HeldFiles(self.run, disk / "held"),
+            "s3://b/run",
+            self.said.append,
+            {},
+            lambda: self.clock,
+        )
+
+    def published(self) -> list[str]:
+        """Publish, and return the keys that were written for it."""
+        self.store.requests.clear()
+        self.publisher.publish()
+        return [request.removeprefix("put ") for request in self.store.requests if request[:4] == "put "]
+
+    def found(self, name: str) -> dict[str, bytes]:
+        fetch(self.store, self.disk / name)
+        paths = (path for path in (self.disk / name).rglob("*") if path.is_file())
+        return {path.relative_to(self.disk / name).as_posix(): path.read_bytes() for path in paths}
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(tmp_path)
+    yield bench
+    bench.ledger.close()
+
+
+def test_small_files_of_a_folder_share_an_object_and_tables_have_their_own(bench: Bench) -> None:
+    (bench.stream / "masks").mkdir()
+    for index in range(5):
+        (bench.stream / "masks" / f"{index}.png").write_bytes(bytes([index]) * (index * 700))
+    (bench.stream / "layers-00000000.parquet").write_bytes(b"table")
+    (bench.run / "run.json").write_text("{}")
+    (bench.stream / "objects.csv").write_text("id\n")
+    (bench.stream / "overlay.mp4").write_bytes(bytes(300_000))
+    assert sorted(bench.published()) == [
+        f"{OBJECTS}/1.1.tar",
+        f"{OBJECTS}/1.1/gate/layers-00000000.parquet",
+        f"{OBJECTS}/1.1/gate/masks.tar",
+        f"{OBJECTS}/1.1/gate/overlay.mp4",
+    ]
+    files = bench.found("first")
+    assert files["gate/masks/0.png"] == b""
+    assert files["gate/masks/4.png"] == bytes([4]) * 2800
+    assert len(files) == 10
+    assert bench.published() == []
+    (bench.stream / "objects.csv").write_text("id\n3\n")
+    assert bench.published() == [f"{OBJECTS}/1.3/gate/objects.csv"]
+    assert bench.found("second") == files | {"gate/objects.csv": b"id\n3\n"}
+
+
+def test_a_growing_list_is_written_in_few_parts_and_about_log_n_times(bench: Bench) -> None:
+    events, written = bench.stream / "events.jsonl", 0
+    for number in range(64):
+        with events.open("ab") as file:
+            file.write(b"%063d\n" % number)
+        (key, *_) = [key for key in bench.published() if "events" in key or key.endswith(".tar")]
+        written += len(bench.store.objects[key])
+        assert len(read_standing(bench.store).files["gate/events.jsonl"]) <= 7
+        assert bench.found(f"{number}")["gate/events.jsonl"] == events.read_bytes()
+    assert written <= 8 * events.stat().st_size
+
+
+def test_a_list_that_was_cut_off_and_went_on_is_written_anew(bench: Bench) -> None:
+    events = bench.stream / "events.jsonl"
+    events.write_bytes(b"one\ntwo\n")
+    bench.published()
+    with events.open("r+b") as file:
+        file.truncate(4)
+        file.seek(4)
+        file.write(b"three\nfour\n")
+    bench.published()
+    assert bench.found("it")["gate/events.jsonl"] == b"one\nthree\nfour\n"
+
+
+def test_drafts_locks_and_packets_stay_here(bench: Bench) -> None:
+    (bench.stream / ".packets").mkdir()
+    (bench.stream / ".packets" / "1.mkv").write_bytes(b"")
+    (bench.stream / ".a.png.1234.part").write_bytes(b"")
+    (bench.run / ".lock").write_bytes(b"")
+    (bench.run / ".live").mkdir()
+    (bench.stream / ".objects").write_bytes(b"state")
+    bench.published()
+    assert sorted(bench.found("it")) == ["gate/.generation", "gate/.objects"]
+
+
+def test_deleted_files_go_a_minute_after_the_manifest_that_does_not_name_them(bench: Bench) -> None:
+    video = bench.stream / "overlay.mp4"
+    video.write_bytes(bytes(300_000))
+    (key,) = [key for key in bench.published() if key.endswith(".mp4")]
+    video.unlink()
+    bench.published()
+    assert "gate/overlay.mp4" not in read_standing(bench.store).files
+    assert key in bench.store.objects
+    bench.clock += 61
+    bench.published()
+    assert key not in bench.store.objects
+
+
+def test_a_store_that_is_away_for_a_while_loses_nothing(bench: Bench) -> None:
+    masks = bench.stream / "masks"
+    masks.mkdir()
+    (masks / "0.png").write_bytes(b"0")
+    bench.published()
+    bench.store.go_away()
+    for index in range(1, 4):
+        (masks / f"{index}.png").write_bytes(b"%d" % index)
+        with pytest.raises(StoreError):
+            bench.publisher.publish()
+        assert bench.publisher.figures["waiting_bytes"] > 0
+    (masks / "0.png").unlink()
+    bench.store.be_there()
+    bench.publisher.publish()
+    assert {name for name in bench.found("it") if "masks" in name} == {
+        f"gate/masks/{i}.png" for i in (1, 2, 3)
+    }
+    assert bench.publisher.figures["waiting_bytes"] == 0
+
+
+def test_a_run_at_its_end_waits_for_the_store(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(publisher_module, "retry_seconds", lambda failures: 0.01)
+    failures = []
+
+    def fail(request: str) -> None:
+        if len(failures) < 5:
+            failures.append(request)
+            raise StoreError("no route to the store")
+
+    bench.store.before = fail
+    (bench.run / "report.html").write_text("the end")
+    bench.publisher.start()
+    bench.publisher.finish(60)
+    assert bench.found("it")["report.html"] == b"the end"
+    assert read_standing(bench.store).ended
+    assert bench.said == [
+        "Nothing can be published to s3://b/run: no route to the store. The run goes on; its results wait on "
+        "this machine.",
+        "s3://b/run can be written again; all results are there.",
+    ]
+
+
+def test_what_cannot_be_read_any_more_is_taken_anew(bench: Bench) -> None:
+    note = bench.stream / "overlay.note"
+    note.write_bytes(b"a sentence that is written over")
+    bench.store.go_away()
+    with pytest.raises(StoreError):
+        bench.publisher.publish()
+    os.truncate(note, 3)
+    bench.store.be_there()
+    with pytest.raises(OSError, match="shorter than it was"):
+        bench.publisher.publish()
+    bench.publisher.publish()
+    assert bench.found("it")["gate/overlay.note"] == b"a s"
