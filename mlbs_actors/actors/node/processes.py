@@ -5,6 +5,7 @@ All other modules reach the host of the actors (:mod:`mlbs_actors.actors.node.ho
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -102,7 +103,8 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
     -------
     Handle
         Call its ``become`` first, with the constructor's arguments; errors at the start are raised there.
-        Keyword arguments are only waited for: calls of different actors may overtake each other.
+        Keyword arguments are only waited for: calls of different actors may overtake each other. After its
+        ``rest``, which drops all that it holds, it may ``become`` another one.
     """
 
     def prepare(self: object) -> None:
@@ -114,7 +116,13 @@ def spawn_standby(kind: type, warm: Callable[[], object], *, awaited: bool, node
     def become(self: object, *arguments: object, **after: object) -> None:
         kind.__init__(self, *arguments)  # type: ignore[misc]
 
-    return spawn(type(kind.__name__, (kind,), {"__init__": prepare, "become": become}), node=node)
+    def rest(self: object) -> None:
+        vars(self).clear()
+        gc.collect()
+        settle_memory()
+
+    members = {"__init__": prepare, "become": become, "rest": rest}
+    return spawn(type(kind.__name__, (kind,), members), node=node)
 
 
 def get(reference: Reference, timeout: float | None = None) -> Any:
