@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from mlbs_actors.actors.node.memory import NodeMemory
-from orchestrator.run.admission import STREAMS_A_CORE, places
+from orchestrator.run.admission import places
+from orchestrator.run.need import STREAMS_A_CORE
 
 REPOSITORY = Path(__file__).parents[1]
 

@@ -9,7 +9,6 @@ import pytest
 
 from mlbs_actors.actors.node.memory import NodeMemory
 from orchestrator.run.admission import (
-    PLACE_BYTES,
     Admission,
     by_count,
     by_load,
@@ -17,6 +16,7 @@ from orchestrator.run.admission import (
     places,
     places_by_memory,
 )
+from orchestrator.run.need import PLACE_BYTES
 from orchestrator.run.stream_state import StreamState, after_start
 
 GIB = 2**30
@@ -39,6 +39,14 @@ def camera(name: str, cores: float = 0.0, memory: int = 0) -> StreamState:
 
 def waiting(count: int) -> list[StreamState]:
     return [camera(f"w{number}") for number in range(count)]
+
+
+def test_a_stream_that_waits_is_told_of_all_places_though_some_are_not_to_be_had_yet() -> None:
+    admit = by_count(lambda waiting: 1, "places of the nodes", lambda: 6)
+    states = [StreamState("first", "running"), StreamState("second")]
+    verdict = admit(states, [])
+    assert verdict.start is None
+    assert verdict.waits_for(states[1]) == "one of the 6 places of the nodes, which are taken"
 
 
 def test_only_streams_with_processes_hold_places() -> None:
