@@ -7,6 +7,8 @@ command ``mlbs-actors`` is its face; for programs there is this:
 ``Zones``                          events of zones, lines and rules from a program's own results
 ``Zone``, ``Minimum``, ``Rule``    what they are made of
 ``Event``                          something that happened
+``start``, ``Run``                 streams at work, in a Ray session that exists or one of their own
+``StreamResult``                   what they give
 =================================  ===================================================================
 
 :mod:`orchestrator.evaluation` has ``open_sequence`` and ``StoredFlow`` for research. All else are parts of a
@@ -26,16 +28,22 @@ if TYPE_CHECKING:
     from orchestrator.events.result_zones import Zones
     from orchestrator.events.rules import Rule
     from orchestrator.events.zones import Minimum, Zone
+    from orchestrator.library.result import StreamResult
+    from orchestrator.library.run import Run
+    from orchestrator.library.starting import start
 
-__all__ = ["Event", "Minimum", "Rule", "Zone", "Zones"]
+__all__ = ["Event", "Minimum", "Rule", "Run", "StreamResult", "Zone", "Zones", "start"]
 
 #: The modules of these names, which are imported when they are asked for.
 _HOMES = {
     "Event": "orchestrator.events.event",
     "Minimum": "orchestrator.events.zones",
     "Rule": "orchestrator.events.rules",
+    "Run": "orchestrator.library.run",
+    "StreamResult": "orchestrator.library.result",
     "Zone": "orchestrator.events.zones",
     "Zones": "orchestrator.events.result_zones",
+    "start": "orchestrator.library.starting",
 }
 
 if not TYPE_CHECKING:  # hidden from type checkers, which would accept every name

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from orchestrator.clips.settings import ClipSettings
     from orchestrator.events.targets import EventTarget
     from orchestrator.ignored import Ignored
+    from orchestrator.run.need import Reserve
     from orchestrator.run.retention_limits import Keep
 
 __all__ = ["DRAWABLE", "DRAWN", "LEAST_SIDE", "MAKEABLE", "SAVABLE", "SAVED"]
@@ -207,6 +208,13 @@ def keep(texts: Sequence[str]) -> Keep | None:
     from orchestrator.run.retention_limits import parse_keep
 
     return parse_keep(texts) if texts else None
+
+
+def reserve(text: str) -> Reserve:
+    """Read what each stream reserves."""
+    from orchestrator.run.need import parse_reserve
+
+    return parse_reserve(text)
 
 
 def _is_port(text: str) -> bool:

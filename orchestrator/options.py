@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from orchestrator.events.zones import ZonesFile
     from orchestrator.ignored import Ignored
     from orchestrator.object_storage.address import StoreAddress
+    from orchestrator.run.need import Reserve
     from orchestrator.run.retention_limits import Keep
 
 __all__ = ["DEFAULT_OUTPUT", "Arguments", "options", "recorded"]
@@ -355,6 +356,18 @@ class Arguments:
             read=values.at_least_one,
             write=values.one_word,
             page="scaling.md#more-streams",
+        ),
+    ] = None
+    reserve: Annotated[
+        "Reserve | None",
+        Option(
+            "what each stream takes of a node, of which so many run at once as fit, and what is reserved "
+            "with --address; one of them will do (default: half a CPU, and memory by the size of the "
+            "pictures, 1.2 GB where that is not known)",
+            "cpu=N,memory=SIZE",
+            read=values.reserve,
+            write=lambda reserve: [reserve.words],
+            page="cluster.md#what-streams-ask-of-ray",
         ),
     ] = None
     log: Annotated[

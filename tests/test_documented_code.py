@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Generator
 from importlib.util import find_spec
@@ -89,6 +93,36 @@ def test_the_code_of_a_page_runs_block_by_block(
         # So that a traceback names the line of the page.
         exec(compile("\n" * lines_before + block[1], ROOT / page, "exec"), names)
     assert len(names) > 5
+
+
+@pytest.mark.ray
+@pytest.mark.long
+def test_the_code_of_the_page_on_ray_runs_as_one_program(folder: Path) -> None:
+    for number in range(2):
+        (folder / "clips").mkdir(exist_ok=True)
+        shutil.copy(folder / "street.mp4", folder / f"clips/clip{number}.mp4")
+    blocks = [block[1] for block in python_blocks((ROOT / "docs/ray.md").read_text(encoding="utf-8"))]
+    assert len(blocks) == 5
+    missing = [
+        package
+        for package, needed in (("ray.data", "pandas"), ("serve", "fastapi"))
+        if find_spec(needed) is None
+    ]
+    program = "\n".join(one for one in blocks if not any(f"import {package}" in one for package in missing))
+    # What a block without its package would have brought.
+    program = "from typing import Any\nfrom mlbs_actors import MultilayerSubtractor\n" + program
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "gate 9 0.36 (120, 160)" in done.stdout
+    assert "{'gate': ('done', None), 'yard': ('done', None)}" in done.stdout
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import secrets
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import count
 from threading import Lock
 
@@ -20,9 +21,10 @@ from mlbs_actors.actors.node.burst_limiter import BurstLimiter
 from mlbs_actors.actors.node.failures import COORDINATOR, explain
 from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
-from mlbs_actors.actors.node.processes import cores_of, end, get, here, identity, kill, spawn, spawn_standby
+from mlbs_actors.actors.node.processes import cores_of, end, get, here, identity, spawn
 from mlbs_actors.actors.node.reservation import Reservation
 from mlbs_actors.actors.parts import EngineParts, PartFactory
+from mlbs_actors.actors.standby import StandbyProcesses
 from mlbs_actors.actors.stream.coordinator_actor import CoordinatorActor
 from mlbs_actors.actors.stream.links import StreamLinks
 from mlbs_actors.actors.stream.live_reader import LiveReaderActor
@@ -63,25 +65,18 @@ _CLOSE_SECONDS = 1.0
 _ANSWER_SECONDS = 10.0
 
 
-#: Actors whose processes may be started before there is a stream for them.
-_STANDBY = (CoordinatorActor, SegmenterActor)
-
-
 def sinks_of(cores: int) -> int:
     """Return the number of sinks of a node; a stream's record is written by one of them."""
     return max(1, cores // _CORES_A_SINK)
 
 
-class _Standby:
-    """A started process without a stream."""
+@dataclass(frozen=True, slots=True)
+class _Home:
+    """What a node provides to the streams that run on it."""
 
-    def __init__(self, handle: Handle) -> None:
-        self.handle = handle
-        self._ready: Future[object] = handle.__ray_ready__.remote().future()
-
-    def is_ready(self) -> bool:
-        """Whether it has started, or has failed to."""
-        return self._ready.done()
+    parts: PartFactory
+    standby: StandbyProcesses
+    burst_limiter: BurstLimiter
 
 
 class Node:
@@ -112,13 +107,16 @@ class Node:
         self._parts = parts or EngineParts()
         self._policy = policy or PoolPolicy()
         self._mark = secrets.token_hex(3)  # keeps names apart from those of other drivers and nodes
-        self._shared = count(1)
+        self._numbers = count(1)
         self._pool = self._new_pool()
         self._sinks = [self._new_sink() for _ in range(sinks_of(cores_of(self._node)))]
-        self._burst_limiter = BurstLimiter(max(1, cores_of(self._node) // _CORES_A_BURST), _BURST_SECONDS)
-        self._run = 0
-        self._standby: list[_Standby] = []
-        self._preparing = Lock()
+        self._home = _Home(
+            self._parts,
+            StandbyProcesses(self._node, self._parts, self._policy.streams, self._named),
+            BurstLimiter(max(1, cores_of(self._node) // _CORES_A_BURST), _BURST_SECONDS),
+        )
+        self._runs = count(1)
+        self._closing = Lock()
         self._repairing = Lock()
         self._closed = False
 
@@ -135,69 +133,44 @@ class Node:
         reservation : Reservation, optional
             A granted one of this node, for the stream; it must last as long as its reader.
         """
-        run, (coordinator, segmenter) = self._take_standby(spec.name)
+        run = next(self._runs)
         before = before if isinstance(before, StreamActors) else None
         reader = None if before is None else before.living_reader
-        if before is None or reader is None:
+        standby = self._home.standby
+        # One that takes a reservation ends with it.
+        shared = reader is None and reservation is None and not spec.live
+        if shared:
+            reader = standby.take(ReaderActor)
+        elif before is None or reader is None:
             reader = spawn(
                 LiveReaderActor if spec.live else ReaderActor,
                 spec.open_reader,
                 node=self._node,
                 reservation=reservation,
-                name=self._named(f"{spec.name}, reader", run),
+                name=self._named(f"{spec.name}, reader"),
             )
         elif before.reopened_by is not None:
             # The coordinator may have been lost before it could pass this on.
             reader.reopen.remote(before.reopened_by)
-        sink = self._sinks[run % len(self._sinks)]
+        links = StreamLinks(
+            reader=reader,
+            segmenter=standby.take(SegmenterActor),
+            pool=self._pool,
+            sink=self._sinks[run % len(self._sinks)],
+        )
         return StreamActors(
             spec,
-            self._parts,
-            coordinator,
-            StreamLinks(reader=reader, segmenter=segmenter, pool=self._pool, sink=sink),
+            self._home,
+            standby.take(CoordinatorActor),
+            links,
             run=run,
-            burst_limiter=self._burst_limiter,
-            under_way=self.prepare,
+            reader_is_shared=shared,
             wakeup=WakeupEvent() if self._beside_driver else None,
         )
 
     def prepare(self) -> bool:
-        """Prepare the processes of the next stream, or of one that restarts after a loss.
-
-        They are started one after the other in repeated calls, at low priority.
-
-        Returns
-        -------
-        bool
-            Whether all are ready.
-        """
-        with self._preparing:
-            if self._closed or not all(process.is_ready() for process in self._standby):
-                return False
-            if len(self._standby) == len(_STANDBY):
-                return True
-            self._standby.append(self._start_standby())
-            return False
-
-    def _take_standby(self, stream: str) -> tuple[int, list[Handle]]:
-        """Return a new stream's number and processes: the standby ones that are ready, and new ones."""
-        with self._preparing:
-            # Only the last one started can be unready.
-            if self._standby and not self._standby[-1].is_ready():
-                kill(self._standby.pop().handle)
-            while len(self._standby) < len(_STANDBY):
-                self._standby.append(self._start_standby(stream))
-            taken, self._standby = [process.handle for process in self._standby], []
-            self._run += 1
-            return self._run, taken
-
-    def _start_standby(self, stream: str | None = None) -> _Standby:
-        """Start a process of the next stream, which waits for it if it is known."""
-        kind = _STANDBY[len(self._standby)]
-        warm = self._parts.warm_coordinator if kind is CoordinatorActor else self._parts.warm_segmenter
-        part = "coordinator" if kind is CoordinatorActor else "segmenter"
-        name = self._named(part if stream is None else f"{stream}, {part}", self._run + 1)
-        return _Standby(spawn_standby(kind, warm, awaited=stream is not None, node=self._node, name=name))
+        """See :meth:`StandbyProcesses.prepare`."""
+        return self._home.standby.prepare()
 
     def repair(self) -> None:
         """Replace the pool and the sinks if they are lost; their streams must be started again."""
@@ -217,24 +190,24 @@ class Node:
 
     def close(self) -> None:
         """End the layer processes, the pool and the sinks. May be called twice."""
-        with self._preparing:
+        with self._closing:
             if self._closed:
                 return
             self._closed = True
+        left = self._home.standby.close()
         with suppress(RayError, GetTimeoutError):
             get(self._pool.close.remote(), _STOP_SECONDS)
-        end([self._pool, *self._sinks, *(process.handle for process in self._standby)])
+        end([self._pool, *self._sinks, *left])
 
     def _new_pool(self) -> Handle:
-        name = self._named("pool", next(self._shared))
-        return spawn(PoolActor, self._parts, self._policy, node=self._node, name=name)
+        return spawn(PoolActor, self._parts, self._policy, node=self._node, name=self._named("pool"))
 
     def _new_sink(self) -> Handle:
-        return spawn(SinkActor, node=self._node, name=self._named("sink", next(self._shared)))
+        return spawn(SinkActor, node=self._node, name=self._named("sink"))
 
-    def _named(self, part: str, number: int) -> str:
-        """Name a process for Ray's lists: the reader, coordinator and segmenter of a stream by one number."""
-        return f"{part} {number} ({self._mark})"
+    def _named(self, part: str) -> str:
+        """Name a process for Ray's lists; those that take one file after the other go by their part only."""
+        return f"{part} {next(self._numbers)} ({self._mark})"
 
 
 def _answers(actor: Handle) -> bool:
@@ -251,17 +224,15 @@ class StreamActors:
     Parameters
     ----------
     spec : StreamSpec
-    parts : PartFactory
+    home : _Home
     coordinator : Handle
         Not initialised yet.
     links : StreamLinks
         The other processes; the segmenter is not initialised yet.
     run : int
         The stream's number.
-    burst_limiter : BurstLimiter
-        Of the node.
-    under_way : callable
-        Called repeatedly once the stream is under way.
+    reader_is_shared : bool
+        Whether the reader takes one file after the other, too; then it is not initialised yet.
     wakeup : WakeupEvent, optional
         For the coordinator between bursts; only on the driver's own node.
 
@@ -276,13 +247,12 @@ class StreamActors:
     def __init__(
         self,
         spec: StreamSpec,
-        parts: PartFactory,
+        home: _Home,
         coordinator: Handle,
         links: StreamLinks,
         *,
         run: int,
-        burst_limiter: BurstLimiter,
-        under_way: Callable[[], object],
+        reader_is_shared: bool,
         wakeup: WakeupEvent | None,
     ) -> None:
         self._name = spec.name
@@ -292,11 +262,14 @@ class StreamActors:
         self._roles = {identity(coordinator): COORDINATOR} | links.roles()
         # By reference: the coordinator must not begin before the pool has registered the stream.
         self._run: Reference = links.pool.begin.remote(run)
-        segmenter_begun: Reference = links.segmenter.become.remote(parts, spec.config)
-        begun: Reference = coordinator.become.remote(spec, parts, links, self._run, segmenter=segmenter_begun)
+        others: dict[str, Reference] = {"segmenter": links.segmenter.become.remote(home.parts, spec.config)}
+        if reader_is_shared:
+            others["reader"] = links.reader.become.remote(spec.open_reader)
+        begun: Reference = coordinator.become.remote(spec, home.parts, links, self._run, **others)
         self._begun: Future[None] = begun.future()
-        self._burst_limiter = burst_limiter
-        self._under_way = under_way
+        self._home = home
+        self._reader_is_shared = reader_is_shared
+        self._is_whole = False  # has come to its end in order
         self._wakeup = wakeup
         self._is_waiting = False
         self._bursts = 0
@@ -324,10 +297,10 @@ class StreamActors:
         if at_once:
             progress = self._ask_for_burst()
         else:
-            progress = self._burst_limiter.submit(self._ask_for_burst, self._wait_inside_a_call)
+            progress = self._home.burst_limiter.submit(self._ask_for_burst, self._wait_inside_a_call)
         self._bursts += 1
         if self._bursts > 1:  # in parallel with the burst, as starting processes takes time here
-            self._under_way()
+            self._home.standby.prepare()
         return progress
 
     def reopen(self, open_reader: Callable[[], FrameReader]) -> None:
@@ -341,6 +314,8 @@ class StreamActors:
 
     def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
         """End the stream and release its processes; may be called twice, and after a failure.
+
+        Those of a file that came to its end take the next one.
 
         Parameters
         ----------
@@ -361,15 +336,23 @@ class StreamActors:
         if drain:
             with suppress(MlbsError):
                 self._final = self._explained(self._coordinator.finish.remote()).result()
-        end([self._coordinator, self._links.segmenter], _STOP_SECONDS)
         reader = self._links.reader
+        rested = {CoordinatorActor: self._coordinator, SegmenterActor: self._links.segmenter}
+        if not self._is_whole:
+            end(rested.values(), _STOP_SECONDS)
+            rested = {}
         if self._live and returns and _answers(reader):
             self.living_reader = reader
         else:
-            # It releases its device or file if it can; it is ended in any case.
+            # It releases its device or file if it can.
             with suppress(RayError, GetTimeoutError):
                 get(reader.close.remote(), _CLOSE_SECONDS)
-            end([reader], _STOP_SECONDS)
+            if self._is_whole and self._reader_is_shared:
+                rested[ReaderActor] = reader
+            else:
+                end([reader], _STOP_SECONDS)
+        for kind, handle in rested.items():
+            self._home.standby.keep(kind, handle)
         for last in (self._links.pool.end.remote(self._run), self._links.sink.close.remote(self._run)):
             with suppress(RayError, GetTimeoutError):
                 get(last, _STOP_SECONDS)
@@ -406,6 +389,7 @@ class StreamActors:
             if error is None:
                 progress = answered.result()
                 self._kept_waiting = progress.kept_waiting
+                self._is_whole = progress.done and progress.problem is None and not self._stopped
                 explained.set_result(progress)
             else:
                 explained.set_exception(explain(self._failure_at_start() or error, self._name, self._roles))

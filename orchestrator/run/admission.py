@@ -20,13 +20,12 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TypeAlias
 
-from mlbs_actors.actors.node.memory import LAYER_BYTES, STREAM_BYTES, NodeMemory
+from mlbs_actors.actors.node.memory import NodeMemory
 from mlbs_actors.wording import count_of
+from orchestrator.run.need import PLACE_BYTES, STREAMS_A_CORE, USUAL_NEED, Need
 from orchestrator.run.stream_state import ENDED, StreamState
 
 __all__ = [
-    "PLACE_BYTES",
-    "STREAMS_A_CORE",
     "Admission",
     "Verdict",
     "by_count",
@@ -36,14 +35,8 @@ __all__ = [
     "places_by_memory",
 ]
 
-#: Unique memory of a stream with four objects, bytes.
-PLACE_BYTES = STREAM_BYTES + 4 * LAYER_BYTES
-
 #: Left for the driver, Ray's own processes, the sink and the object store, bytes.
 _RESERVED_BYTES = 1_500 * 2**20
-
-#: Most streams of files for each core. A stream's stages wait for one another: two on a core keep it busy.
-STREAMS_A_CORE = 2
 
 #: Share of the cores that cameras may take.
 _BUSY_SHARE = 0.9
@@ -83,19 +76,19 @@ class Verdict:
 Admission: TypeAlias = Callable[[Sequence[StreamState], Collection[str]], Verdict]
 
 
-def _words_on_places(most: int) -> str:
-    return f"one of the {most} places, which are taken"
-
-
-def by_count(most: int | Callable[[int], int], words: Callable[[int], str] = _words_on_places) -> Admission:
+def by_count(
+    most: int | Callable[[int], int], kind: str = "places", total: Callable[[], int] | None = None
+) -> Admission:
     """Admit so many streams at once, whatever they take.
 
     Parameters
     ----------
     most : int or callable
         A callable is called repeatedly, with the number of streams that wait.
-    words : callable
-        Says what another stream waits for when so many, maybe none, are all.
+    kind : str
+        What there are so many of, for the user.
+    total : callable, optional
+        How many there are of them, those included that ``most`` does not have yet.
     """
 
     def admit(states: Sequence[StreamState], ending: Collection[str]) -> Verdict:
@@ -105,7 +98,8 @@ def by_count(most: int | Callable[[int], int], words: Callable[[int], str] = _wo
             return Verdict()
         if len(_running(states, ending)) < limit:
             return Verdict(waiting[0])
-        reason = words(limit)
+        there = limit if total is None else max(limit, total())
+        reason = f"one of the {there} {kind}, which are taken" if there else f"{kind}: there are none yet"
         return Verdict(None, reason, reason)
 
     return admit
@@ -215,7 +209,7 @@ def _running(states: Sequence[StreamState], ending: Collection[str]) -> list[Str
     ]
 
 
-def places(memory: NodeMemory, core_count: float) -> int:
+def places(memory: NodeMemory, core_count: float, need: Need = USUAL_NEED) -> int:
     """Return how many streams of files may run at once.
 
     Parameters
@@ -223,18 +217,20 @@ def places(memory: NodeMemory, core_count: float) -> int:
     memory : NodeMemory
         Before the run.
     core_count : float
+    need : Need
+        Of each.
 
     Returns
     -------
     int
         At least 1: a machine too small for the estimate may still hold one small stream.
     """
-    return max(1, min(places_by_memory(memory), int(core_count * STREAMS_A_CORE)))
+    return max(1, min(places_by_memory(memory, need), int(core_count / need.cpus + 1e-6)))
 
 
-def places_by_memory(memory: NodeMemory) -> int:
+def places_by_memory(memory: NodeMemory, need: Need = USUAL_NEED) -> int:
     """Return how many streams fit into the memory before the run; at least 1."""
-    return max(1, (memory.free - _RESERVED_BYTES) // PLACE_BYTES)
+    return max(1, (memory.free - _RESERVED_BYTES) // need.memory)
 
 
 def cores() -> int:

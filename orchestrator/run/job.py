@@ -108,6 +108,13 @@ class Job:
         """All streams, in the driver's form."""
         return [self._spec(stream) for stream in self._streams.values()]
 
+    def add(self, stream: ListedStream) -> StreamSpec:
+        """Take up another stream; return it in the driver's form."""
+        self._streams[stream.name] = stream
+        self._settings[stream.name] = settings_of(stream, self._arguments, self._config)
+        self.keep_description(None)
+        return self._spec(stream)
+
     def files(self, specs: Sequence[StreamSpec]) -> dict[str, SourceAddress]:
         """Return the sources of those of ``specs`` that are no cameras, by name."""
         return {spec.name: self._streams[spec.name].source for spec in specs if not spec.live}

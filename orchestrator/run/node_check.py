@@ -8,12 +8,13 @@ from pathlib import Path
 from mlbs_actors.actors.node.memory import node_memory
 from mlbs_actors.errors import ConfigError
 from orchestrator.run.admission import places
+from orchestrator.run.need import Need
 from orchestrator.run.versions import installed_versions
 
 __all__ = ["node_places"]
 
 
-def node_places(folder: Path, versions: Mapping[str, str | None], cpus: float) -> int:
+def node_places(folder: Path, versions: Mapping[str, str | None], need: Need, cpus: float) -> int:
     """Return how many streams this node can hold.
 
     Parameters
@@ -22,6 +23,8 @@ def node_places(folder: Path, versions: Mapping[str, str | None], cpus: float) -
         The run's, which all nodes must see.
     versions : mapping of str to str
         Those of the command: with others, label maps would depend on the node.
+    need : Need
+        Of each stream.
     cpus : float
         Of this node, as Ray counts them.
 
@@ -44,4 +47,4 @@ def node_places(folder: Path, versions: Mapping[str, str | None], cpus: float) -
         raise ConfigError(
             f"the output folder {folder} is not there; put it on a file system that all nodes share"
         )
-    return places(node_memory(), cpus)
+    return places(node_memory(), cpus, need)

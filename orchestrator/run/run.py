@@ -8,14 +8,9 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
-from mlbs_actors.actors.node.cluster import Cluster
-from mlbs_actors.actors.node.memory import NodeMemory, node_memory
-from mlbs_actors.actors.node.pool import PoolPolicy
-from mlbs_actors.actors.node.reservation import Share
-from mlbs_actors.actors.pipeline import Node
+from mlbs_actors.actors.node.memory import node_memory
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, SinkError
@@ -37,25 +32,17 @@ from orchestrator.progress import progress_for
 from orchestrator.ray_head import RayHead
 from orchestrator.ray_session import joined_ray
 from orchestrator.report.page import render_report
-from orchestrator.run.admission import (
-    PLACE_BYTES,
-    STREAMS_A_CORE,
-    Admission,
-    by_count,
-    by_load,
-    cores,
-    places,
-    places_by_memory,
-)
+from orchestrator.run.admission import cores
 from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.closing_words import closing_words
 from orchestrator.run.driver import Driver, Observer
 from orchestrator.run.edit_zones import ZoneFiles
 from orchestrator.run.expected_time import words_on_expected_time
+from orchestrator.run.hosting import Room, admission_to, host_of
 from orchestrator.run.job import Job
 from orchestrator.run.listed_stream import StreamsFile
 from orchestrator.run.makings import make_of_all
-from orchestrator.run.node_check import node_places
+from orchestrator.run.need import need_of
 from orchestrator.run.publication import Publication
 from orchestrator.run.resumption import (
     ended_before,
@@ -68,7 +55,6 @@ from orchestrator.run.retention import Retention
 from orchestrator.run.run_folder import RunFolder, StatusFile
 from orchestrator.run.stream_list import cameras_file, refuse_if_all
 from orchestrator.run.stream_state import StreamState, exit_code, stopped, with_record
-from orchestrator.run.versions import installed_versions
 from orchestrator.run.whole_overlays import make_all_whole
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.sources.survey import SourceContent, surveying
@@ -151,7 +137,6 @@ def run(
             deliveries,
             before,
         )
-        memory = node_memory()
         retention = Retention(folder.path, job.keeps, log.warn)
         status = StatusFile(
             folder.path / "status.json",
@@ -179,6 +164,8 @@ def run(
             }
             faults |= bad
             due = [spec for spec in due if spec.name not in bad]
+        sizes = [None] if arguments.watch else [contents.get(one.name, SourceContent()).size for one in due]
+        room = Room(node_memory(), need_of(arguments.reserve, sizes))
         for stream in listed.streams:
             if stream.name in faults:
                 place = f"{arguments.streams}, line {stream.line}: " if stream.line else ""
@@ -187,7 +174,7 @@ def run(
         if at_work := bool(due) or arguments.watch:
             monitored = _monitored(arguments, live, folder.path, deliveries, log)
             onlookers = session.enter_context(monitored)
-            _announce(due, arguments, memory, contents, log)
+            _announce(due, arguments, room, contents, log)
             session.enter_context(joined_ray(arguments.address, head))
         if at_work and arguments.ray_metrics is not None:
             onlookers.append(RayMetrics(deliveries.backlogs, counts=CountReader(folder.path).of))
@@ -203,9 +190,7 @@ def run(
             session.enter_context(Clips(arguments.clips, folder.path, job.video, log.warn))
         if at_work:
             lengths = {name: one.length for name, one in survey.finish().items() if one.length is not None}
-            states, exit_status = _drive(
-                job, ended, memory, lengths, status, onlookers, folder, arguments, log
-            )
+            states, exit_status = _drive(job, ended, room, lengths, status, onlookers, folder, arguments, log)
         else:
             states = tuple(ended[spec.name] for spec in job.specs)
             exit_status = exit_code(states, None)
@@ -256,7 +241,7 @@ def _monitored(
 def _announce(
     due: Sequence[StreamSpec],
     arguments: Arguments,
-    memory: NodeMemory,
+    room: Room,
     contents: Mapping[str, SourceContent],
     log: Log,
 ) -> None:
@@ -267,11 +252,11 @@ def _announce(
     if arguments.address is not None:
         log.say(f"Joining Ray at {arguments.address}; {count}.")
         return
-    room = f"{count_of(cores(), 'core')}, {memory.available / 2**30:.1f} GiB of memory"
-    at_once = f"up to {arguments.places or places(memory, cores())} at a time"
-    if arguments.places is None and any(spec.live for spec in due):
+    machine = f"{count_of(cores(), 'core')}, {room.memory.available / 2**30:.1f} GiB of memory"
+    at_once = f"up to {arguments.places or room.places} at a time"
+    if _allowed(arguments, room) is None and any(spec.live for spec in due):
         at_once = f"files {at_once}, cameras as long as CPU time and memory last"
-    log.say(f"Starting Ray; {count}, {at_once} ({room}).")
+    log.say(f"Starting Ray; {count}, {at_once} ({machine}).")
     files = [contents.get(spec.name, SourceContent()) for spec in due if not spec.live]
     if words := words_on_expected_time(files, cores(), arguments.max_frames, arguments.max_side):
         log.say(words)
@@ -282,7 +267,7 @@ def _announce(
 def _drive(
     job: Job,
     ended: Mapping[str, StreamState],
-    memory: NodeMemory,
+    room: Room,
     lengths: Mapping[str, int],
     status: StatusFile,
     onlookers: Sequence[Observer],
@@ -303,16 +288,12 @@ def _drive(
         status.stopping = lambda: interruption.signal_number is not None
         progress = progress_for(output, log)
         try:
-            host: Node | Cluster
-            if arguments.address is None:
-                host = Node(policy=PoolPolicy(streams=_most_at_once(job, ended, memory, arguments)))
-            else:
-                check = partial(node_places, folder.path, installed_versions())
-                host = Cluster(check, Share(1 / STREAMS_A_CORE, PLACE_BYTES), log.warn)
+            most = _most_at_once(job, ended, room, arguments)
+            host = host_of(folder.path, most, room.need, log.warn, shared=arguments.address is not None)
             driver = Driver(
                 job.specs,
                 host,
-                admission=_admission(host, memory, arguments.places),
+                admission=admission_to(host, room, _allowed(arguments, room)),
                 observers=[status, *onlookers, progress],
                 interruption=interruption,
                 lengths=lengths,
@@ -332,38 +313,16 @@ def _drive(
     return driver.states, exit_status
 
 
-def _admission(host: Node | Cluster, memory: NodeMemory, most: int | None) -> Admission:
-    """Return what decides which streams may run; ``most`` are those that the user allows."""
-    if isinstance(host, Cluster):
-        if most is None:
-            return by_count(host.places, words=_words_on_nodes)
-        return by_count(
-            lambda waiting: min(most, host.places(waiting)),
-            words=lambda taken: _words_on_nodes(taken) if taken < most else _words_on_places(taken),
-        )
-    if most is None:
-        return by_load(cores(), places(memory, cores()), node_memory)
-    return by_count(most, words=_words_on_places)
+def _allowed(arguments: Arguments, room: Room) -> int | None:
+    """Return how many streams the user allows at once, whatever they take; None for what fits."""
+    if arguments.places is None and arguments.reserve is not None and arguments.address is None:
+        return room.places
+    return arguments.places
 
 
-def _words_on_places(most: int) -> str:
-    return f"one of the {most} places (--places), which are taken"
-
-
-def _words_on_nodes(running: int) -> str:
-    """Say what a stream waits for on a cluster, whose nodes have places only as far as Ray has room."""
-    if not running:
-        return "room on a node: none takes a stream now"
-    return f"room on a node: {count_of(running, 'stream')} have what Ray has free for them"
-
-
-def _most_at_once(
-    job: Job, ended: Mapping[str, StreamState], memory: NodeMemory, arguments: Arguments
-) -> int:
+def _most_at_once(job: Job, ended: Mapping[str, StreamState], room: Room, arguments: Arguments) -> int:
     """Return for how many streams this machine's memory is reserved."""
     due = [spec for spec in job.specs if spec.name not in ended]
-    most = places(memory, cores())
-    if any(spec.live for spec in due):
-        most = places_by_memory(memory)
-    most = arguments.places or most
+    most = room.places_by_memory if any(spec.live for spec in due) else room.places
+    most = _allowed(arguments, room) or most
     return most if arguments.watch else min(most, len(due))  # only a watched list can get more

@@ -405,7 +405,6 @@ class ThreadHost:
     def __init__(self) -> None:
         self.news = threading.Condition()  # a call, an answer, or a kill
         self._actors: list[_Actor] = []
-        self._memories: list[int] = []
 
     def spawn(
         self, kind: type, arguments: Sequence[object], *, node: str, reservation: object, name: str | None
@@ -450,8 +449,15 @@ class ThreadHost:
         """Return what an actor is given for an argument: for a reference its answer."""
         return self.get(given, None) if isinstance(given, ThreadReference) else given
 
+    def kill_oldest(self, kind: str) -> bool:
+        """Kill the living actor of this class that was started first; return whether there was one."""
+        living = [one for one in self._actors if one.kind.__name__ == kind and one.death is None]
+        if living:
+            living[0].kill()
+        return bool(living)
+
     def close(self) -> None:
-        """End all actors, and free the memory that their streams shared."""
+        """End all actors."""
         for actor in self._actors:
             actor.kill()
         for actor in self._actors:
@@ -460,17 +466,6 @@ class ThreadHost:
         assert not left, f"threads that do not end: {left}"
         _references.clear()
         _handles.clear()
-        for descriptor in self._memories:
-            os.close(descriptor)
-
-    def memory(self, create: Callable[[str], int]) -> Callable[[str], int]:
-        """Return a function that creates shared memory, which would end with its owner's process."""
-
-        def noted(name: str) -> int:
-            self._memories.append(create(name))
-            return self._memories[-1]
-
-        return noted
 
     def _wait_for(self, condition: Callable[[], bool], timeout: float | None) -> bool:
         if _here.actor is not None:
@@ -485,7 +480,6 @@ def threads() -> Iterator[ThreadHost]:
     host = ThreadHost()
     with pytest.MonkeyPatch.context() as patch, single_threaded(), processes.hosted_by(host):
         patch.setattr(channels, "Connection", _ActorConnection)
-        patch.setattr(os, "memfd_create", host.memory(os.memfd_create))
         for module in _WITH_PROCESSES:
             for name, instead in _TO_ITS_PROCESS.items():
                 if hasattr(module, name):

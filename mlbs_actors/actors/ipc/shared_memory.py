@@ -21,6 +21,7 @@ import mmap
 import os
 import pickle
 import struct
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
@@ -97,12 +98,15 @@ class Shared(Generic[Message]):
 class SlotPool:
     """The slots of one stream, in the process that owns them.
 
-    The slot released last is reused first: its memory is in the processor's caches.
+    The slot released last is reused first: its memory is in the processor's caches. When the pool is dropped,
+    its memory stays only where it is mapped.
     """
 
     def __init__(self) -> None:
         self._free: dict[SlotKind, list[Slot]] = {}
         self._generations = count(1)
+        self._descriptors: list[int] = []
+        weakref.finalize(self, _close_all, self._descriptors).atexit = False
 
     def acquire(self, kind: SlotKind) -> Slot:
         """Reuse a free slot, or create one."""
@@ -110,7 +114,9 @@ class SlotPool:
         if free:
             last = free.pop()
             return Slot(kind, last.owner, last.descriptor, generation)
-        return Slot(kind, os.getpid(), os.memfd_create(f"{_NAME}{kind}"), generation)
+        descriptor = os.memfd_create(f"{_NAME}{kind}")
+        self._descriptors.append(descriptor)
+        return Slot(kind, os.getpid(), descriptor, generation)
 
     def release(self, slots: Sequence[Slot]) -> None:
         """Release the slots of a frame whose messages nobody reads any more.
@@ -120,6 +126,11 @@ class SlotPool:
         """
         for slot in reversed(slots):
             self._free[slot.kind].append(slot)
+
+
+def _close_all(descriptors: Sequence[int]) -> None:
+    for descriptor in descriptors:
+        os.close(descriptor)
 
 
 class SharedMemory:

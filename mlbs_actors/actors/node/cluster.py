@@ -125,6 +125,11 @@ class Cluster:
         if self._refused and not self._members and not self._asked:
             raise ConfigError("No node of the cluster can be used; the messages above say why.")
 
+    @property
+    def all_places(self) -> int:
+        """How many streams the known nodes can hold."""
+        return sum(member.places for member in self._members.values())
+
     def places(self, waiting: int) -> int:
         """Return how many streams may run by now, and reserve shares of nodes for more.
 
@@ -190,6 +195,7 @@ class Cluster:
         for member in self._members.values():
             self._drop_next(member)
             member.node.close()
+        self._demand(0)
 
     def _look(self, patience: float) -> None:
         """Update the list of nodes; wait up to this time for the answers of new ones, s."""

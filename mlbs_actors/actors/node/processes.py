@@ -5,6 +5,7 @@ All other modules reach the host of the actors (:mod:`mlbs_actors.actors.node.ho
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -106,7 +107,8 @@ def spawn_standby(
     -------
     Handle
         Call its ``become`` first, with the constructor's arguments; errors at the start are raised there.
-        Keyword arguments are only waited for: calls of different actors may overtake each other.
+        Keyword arguments are only waited for: calls of different actors may overtake each other. After its
+        ``rest``, which drops all that it holds, it may ``become`` another one.
     """
 
     def prepare(self: object) -> None:
@@ -118,8 +120,13 @@ def spawn_standby(
     def become(self: object, *arguments: object, **after: object) -> None:
         kind.__init__(self, *arguments)  # type: ignore[misc]
 
-    empty = type(kind.__name__, (kind,), {"__init__": prepare, "become": become})
-    return spawn(empty, node=node, name=name)
+    def rest(self: object) -> None:
+        vars(self).clear()
+        gc.collect()
+        settle_memory()
+
+    members = {"__init__": prepare, "become": become, "rest": rest}
+    return spawn(type(kind.__name__, (kind,), members), node=node, name=name)
 
 
 def get(reference: Reference, timeout: float | None = None) -> Any:

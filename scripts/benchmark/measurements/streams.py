@@ -20,7 +20,8 @@ from benchmark.through_ray.endless_video import EndlessReader
 from benchmark.through_ray.pipeline import ROUNDS, SteadyWindow, pipeline
 from benchmark.through_ray.process_costs import cpu_growth
 from orchestrator.evaluation.figures import format_number, format_table
-from orchestrator.run.admission import PLACE_BYTES, cores
+from orchestrator.run.admission import cores
+from orchestrator.run.need import PLACE_BYTES
 
 __all__ = ["STREAMS", "StreamsCost", "fleet_table", "measure_streams", "most_frames_a_second"]
 

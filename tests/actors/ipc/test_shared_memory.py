@@ -64,9 +64,9 @@ def test_arrays_of_every_kind_come_back_with_type_and_shape_row_by_row() -> None
 
 
 def test_a_state_is_the_same_in_another_process_in_whatever_order_its_arrays_are() -> None:
-    memory = SharedMemory()
+    slots, memory = SlotPool(), SharedMemory()
     state = State(np.asfortranarray(np.arange(12.0).reshape(3, 4)))
-    read = memory.load(memory.share(capture(state), SlotPool().acquire("state"))).state(State)
+    read = memory.load(memory.share(capture(state), slots.acquire("state"))).state(State)
     assert np.array_equal(read.turned, state.turned)
     assert read.turned.flags.f_contiguous
 
@@ -153,6 +153,17 @@ def test_views_of_dropped_memory_stay_readable() -> None:
     assert read.positions.sum() == 10
 
 
+def test_a_dropped_pool_leaves_its_memory_only_where_it_is_mapped() -> None:
+    slots, memory = SlotPool(), SharedMemory()
+    slot = slots.acquire("frame")
+    shared = memory.share(np.arange(100_000), slot)
+    del slots
+    assert np.array_equal(memory.load(shared), np.arange(100_000))
+    with pytest.raises(ActorLostError, match="cannot reach the memory"):
+        SharedMemory().load(shared)
+
+
 def test_the_memory_is_anonymous() -> None:
-    slot = SlotPool().acquire("frame")
+    slots = SlotPool()
+    slot = slots.acquire("frame")
     assert str(Path(f"/proc/self/fd/{slot.descriptor}").readlink()).startswith("/memfd:mlbs-frame")

@@ -90,7 +90,8 @@ def reader_of(*sources: Answers) -> LiveReaderActor:
 
 def asked(reader: LiveReaderActor, *, fresh: bool) -> SourceFrame | SourceSilence | None:
     """What a start of the stream learns when it asks for its next row."""
-    said = reader.read(ReadNext(SlotPool().acquire("frame"), fresh))
+    slots = SlotPool()
+    said = reader.read(ReadNext(slots.acquire("frame"), fresh))
     if not isinstance(said, Shared):
         return said
     frame: SourceFrame = SharedMemory().load(said)

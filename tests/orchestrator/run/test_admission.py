@@ -9,7 +9,6 @@ import pytest
 
 from mlbs_actors.actors.node.memory import NodeMemory
 from orchestrator.run.admission import (
-    PLACE_BYTES,
     Admission,
     by_count,
     by_load,
@@ -17,6 +16,7 @@ from orchestrator.run.admission import (
     places,
     places_by_memory,
 )
+from orchestrator.run.need import PLACE_BYTES
 from orchestrator.run.stream_state import StreamState, after_start
 
 GIB = 2**30
@@ -41,13 +41,20 @@ def waiting(count: int) -> list[StreamState]:
     return [camera(f"w{number}") for number in range(count)]
 
 
+def test_a_stream_that_waits_is_told_of_all_places_though_some_are_not_to_be_had_yet() -> None:
+    admit = by_count(lambda waiting: 1, "places of the nodes", lambda: 6)
+    states = [StreamState("first", "running"), StreamState("second")]
+    verdict = admit(states, [])
+    assert verdict.start is None
+    assert verdict.waits_for(states[1]) == "one of the 6 places of the nodes, which are taken"
+
+
 def test_only_streams_with_processes_hold_places() -> None:
     states = [StreamState("a", "running"), StreamState("b", "done"), *map(StreamState, "cde")]
     assert started(by_count(3), states) == ["c", "d"]
     assert by_count(3)(states, ["b"]).start == "c"
     assert by_count(2)(states, ["b"]).start is None  # its processes are not gone yet
     assert by_count(1)(states, ()).waits_for(states[2]) == "one of the 1 places, which are taken"
-    assert by_count(lambda _: 1, "room beside {}".format)(states, ()).waits_for(states[2]) == "room beside 1"
 
 
 def test_cameras_begin_as_many_as_files_and_more_follow_when_it_is_known_what_they_take() -> None:

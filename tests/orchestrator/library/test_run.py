@@ -1,0 +1,179 @@
+"""Streams that a program starts: their results, whatever happens to their processes."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from actor_fakes import wait_until
+from cold_parts import ColdParts
+from thread_host import ThreadHost, threads
+
+import orchestrator
+from mlbs_actors import MultilayerSubtractor, Result
+from mlbs_actors.actors.node.pool import PoolPolicy
+from mlbs_actors.actors.node.processes import get
+from mlbs_actors.actors.pipeline import Node
+from mlbs_actors.errors import ConfigError
+from mlbs_actors.scenes.synthetic import scene_from_uri
+from orchestrator import StreamResult
+from orchestrator.library import run as library_run
+from orchestrator.library import starting
+
+SCENE = "synthetic:demo?frames=72&width=160&height=120&seed=1"
+LONG = "synthetic:demo?frames=240&width=64&height=48&seed=2"
+
+
+@pytest.fixture(scope="module")
+def expected() -> list[Result]:
+    """What the class says of the scene."""
+    scene = scene_from_uri(SCENE)
+    return [
+        result
+        for _, result in MultilayerSubtractor().segment(scene.frame(index) for index in range(len(scene)))
+    ]
+
+
+@pytest.fixture
+def host(monkeypatch: pytest.MonkeyPatch) -> Iterator[ThreadHost]:
+    """Actors in threads instead of Ray."""
+
+    @contextmanager
+    def present(address: str | None) -> Iterator[bool]:
+        yield False
+
+    def node(folder: Path, streams: int, say: object, *, shared: bool) -> Node:
+        return Node(parts=ColdParts(), policy=PoolPolicy(streams=2))
+
+    monkeypatch.setattr(starting, "present_ray", present)
+    monkeypatch.setattr(library_run, "host_of", node)
+    with threads() as host:
+        yield host
+
+
+def assert_like(results: list[StreamResult], expected: list[Result]) -> None:
+    assert [one.frame for one in results] == list(range(len(expected)))
+    for one, other in zip(results, expected, strict=True):
+        assert np.array_equal(one.labels, other.labels)
+        assert one.labels.dtype == other.labels.dtype
+        assert one.layers == other.layers
+        assert one.frame_index == other.frame_index
+
+
+def test_results_are_those_of_the_class_frame_by_frame(host: ThreadHost, expected: list[Result]) -> None:
+    with orchestrator.start({"a": SCENE, "b": SCENE}) as run:
+        results = list(run)
+        assert {name: state.state for name, state in run.status().items()} == {"a": "done", "b": "done"}
+    for name in ("a", "b"):
+        assert_like([one for one in results if one.stream == name], expected)
+    assert results[0].time == 0
+    assert results[0].name == "00000"
+
+
+@pytest.mark.parametrize(
+    "kind", ["LayerActor", "CoordinatorActor", "SegmenterActor", "ReaderActor", "SinkActor"]
+)
+def test_a_killed_process_loses_and_repeats_no_result(
+    kind: str, host: ThreadHost, expected: list[Result]
+) -> None:
+    with orchestrator.start({"a": SCENE}) as run:
+        results = [next(run)]
+        assert host.kill_oldest(kind)
+        results += run
+        assert run.status()["a"].state == "done"
+        # A layer may have been released just then, and a reader may have been at its end.
+        assert run.status()["a"].returns >= (0 if kind in ("LayerActor", "ReaderActor") else 1)
+    assert_like(results, expected)
+
+
+def test_a_slow_program_holds_its_streams_up_and_gets_everything_in_the_end(host: ThreadHost) -> None:
+    with orchestrator.start({"long": LONG}) as run:
+        frames = [next(run).frame]
+        wait_until(lambda: run.status()["long"].committed > 64)
+        time.sleep(1.0)
+        assert run.status()["long"].committed < 160
+        frames += [one.frame for one in run]
+    assert frames == list(range(240))
+
+
+def test_streams_come_and_go_while_the_run_is_iterated(host: ThreadHost) -> None:
+    with orchestrator.start({"first": LONG}) as run:
+        frames: dict[str, list[int]] = {"first": [next(run).frame]}
+        with pytest.raises(ConfigError, match="has a stream 'first' already"):
+            run.add("first", SCENE)
+        run.add("second", "synthetic:demo?frames=10&width=64&height=48")
+        run.remove("first")
+        for one in run:
+            frames.setdefault(one.stream, []).append(one.frame)
+        status = run.status()
+        assert status["first"].interrupted
+        assert frames["first"] == list(range(status["first"].committed))
+        assert status["first"].committed < 240
+        assert frames["second"] == list(range(10))
+        with pytest.raises(ConfigError, match="no stream 'third'"):
+            run.remove("third")
+
+
+def test_a_stream_that_fails_ends_alone_and_its_state_says_why(host: ThreadHost, tmp_path: Path) -> None:
+    (tmp_path / "bad.mp4").write_bytes(b"no video")
+    good = "synthetic:demo?frames=10&width=64&height=48"
+    with orchestrator.start({"bad": tmp_path / "bad.mp4", "good": good}) as run:
+        assert [one.stream for one in run] == ["good"] * 10
+        assert run.status()["bad"].state == "failed"
+        assert "bad.mp4" in str(run.status()["bad"].error)
+
+
+def test_what_was_read_when_a_run_is_stopped_can_still_be_taken(host: ThreadHost) -> None:
+    with orchestrator.start({"long": LONG}) as run:
+        first = next(run)
+        run.stop()
+        frames = [first.frame, *(one.frame for one in run)]
+        assert frames == list(range(run.status()["long"].committed))
+        with pytest.raises(ConfigError, match="has been stopped"):
+            run.add("other", SCENE)
+
+
+def test_an_iteration_that_is_cancelled_loses_nothing(host: ThreadHost) -> None:
+    async def frames() -> list[int]:
+        async with orchestrator.start({"long": LONG}) as run:
+            taken: list[int] = []
+
+            async def take() -> None:
+                async for one in run:
+                    taken.append(one.frame)
+
+            for _ in range(5):
+                with suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(take(), 0.05)
+            await take()
+            return taken
+
+    assert asyncio.run(frames()) == list(range(240))
+
+
+def test_references_stand_for_the_results_in_their_order(host: ThreadHost, expected: list[Result]) -> None:
+    with orchestrator.start({"a": SCENE}, references=True) as run:
+        assert_like([get(one) for one in run], expected)
+
+
+def test_a_folder_of_ones_own_gets_what_is_to_be_saved_and_no_second_run(
+    host: ThreadHost, tmp_path: Path
+) -> None:
+    source = "synthetic:demo?frames=10&width=64&height=48"
+    with orchestrator.start({"a": source}, output=tmp_path / "out", save=["masks"], max_frames=6) as run:
+        assert len(list(run)) == 6
+    assert len(list((tmp_path / "out/a/masks").iterdir())) == 6
+    with pytest.raises(ConfigError, match="holds a run already"):
+        orchestrator.start({"a": source}, output=tmp_path / "out")
+
+
+def test_wrong_words_are_refused_before_anything_is_started() -> None:
+    with pytest.raises(ConfigError, match="save holds 'mask'"):
+        orchestrator.start({"a": SCENE}, save=["mask"])
+    with pytest.raises(ConfigError, match=r"'a/b' cannot be the name"):
+        orchestrator.start({"a/b": SCENE})
