@@ -253,14 +253,14 @@ def drift(target: Array, seen: Array, both: Array, finest: int = 0) -> Array:
     flow = search.calc(target, seen, None)  # type: ignore[call-overload]
     misfit = cv2.absdiff(moved(seen, flow), target).astype(np.float32)
     kernel = np.ones((2 * DISBELIEVED_PX + 1,) * 2, np.uint8)
-    weight = cv2.erode(usable, kernel, borderValue=1).astype(np.float32)  # type: ignore[call-overload]
-    slope = cv2.Sobel(target, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(target, cv2.CV_32F, 0, 1) ** 2
+    weight: Array = cv2.erode(usable, kernel, borderValue=1).astype(np.float32)
+    slope: Array = cv2.Sobel(target, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(target, cv2.CV_32F, 0, 1) ** 2
     slope = cv2.blur(slope, (7, 7))
     weight *= (0.02 + slope / (slope + 900.0)) / (1.0 + (misfit / 10.0) ** 2) ** 2
-    # Means of cells, those apart that are not as the cells around them: what is in a hole hangs by few pixels.
+    # Means of cells; those unlike the cells around them count less: what is in a hole hangs by few pixels.
     size = (-(-width // CELL), -(-height // CELL))
-    part = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
-    mean = cv2.resize(flow * weight[..., None], size, interpolation=cv2.INTER_AREA)
+    part: Array = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
+    mean: Array = cv2.resize(flow * weight[..., None], size, interpolation=cv2.INTER_AREA)
     mean /= np.maximum(part, 1e-6)[..., None]
     apart = np.linalg.norm(mean - continued(mean, part, floor=2.0), axis=-1)
     part /= (1.0 + (apart / APART_PX) ** 2) ** 2
