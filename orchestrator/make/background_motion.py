@@ -40,6 +40,8 @@ LEAST_FLOW_PX = 32
 FLAT_PX = 0.15
 #: Frames over which steps are followed; farther ones are placed by the homography alone.
 FOLLOWED = 60
+#: Flow that is this far from that around it counts for a quarter, px of a sketch.
+APART_PX = 1.5
 #: Steps that no homography describes, and frames, after which a source counts for half.
 BENDS, FRAMES = 8, 200
 
@@ -251,11 +253,20 @@ def drift(target: Array, seen: Array, both: Array, finest: int = 0) -> Array:
     flow = search.calc(target, seen, None)  # type: ignore[call-overload]
     misfit = cv2.absdiff(moved(seen, flow), target).astype(np.float32)
     kernel = np.ones((2 * DISBELIEVED_PX + 1,) * 2, np.uint8)
-    weight = cv2.erode(usable, kernel, borderValue=1).astype(np.float32)  # type: ignore[call-overload]
-    slope = cv2.Sobel(target, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(target, cv2.CV_32F, 0, 1) ** 2
+    weight: Array = cv2.erode(usable, kernel, borderValue=1).astype(np.float32)
+    slope: Array = cv2.Sobel(target, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(target, cv2.CV_32F, 0, 1) ** 2
     slope = cv2.blur(slope, (7, 7))
     weight *= (0.02 + slope / (slope + 900.0)) / (1.0 + (misfit / 10.0) ** 2) ** 2
-    return continued(flow, weight, floor=0.05)
+    # Means of cells; those unlike the cells around them count less: what is in a hole hangs by few pixels.
+    size = (-(-width // CELL), -(-height // CELL))
+    part: Array = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
+    mean: Array = cv2.resize(flow * weight[..., None], size, interpolation=cv2.INTER_AREA)
+    mean /= np.maximum(part, 1e-6)[..., None]
+    apart = np.linalg.norm(mean - continued(mean, part, floor=2.0), axis=-1)
+    part /= (1.0 + (apart / APART_PX) ** 2) ** 2
+    smooth = continued(mean, part.astype(np.float32), floor=0.1)
+    drifted: Array = cv2.resize(smooth, (width, height), interpolation=cv2.INTER_LINEAR)
+    return drifted
 
 
 def continued(values: Array, weight: Array, floor: float) -> Array:

@@ -49,8 +49,7 @@ class Pose:
 
     def into(self, other: Pose) -> Array:
         """Return the homography from this frame's pixels to another frame's of the same shot, float64."""
-        matrix: Array = np.linalg.solve(other.to_shot, self.to_shot)
-        return matrix / matrix[2, 2]
+        return _normed(np.linalg.solve(other.to_shot, self.to_shot))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +103,7 @@ class CameraPath:
             self._key = self._before
         into = _resized((gray.shape[1], gray.shape[0]), size)
         stated = into @ to_shot @ np.linalg.inv(into)
-        return Pose(self._shot, stated / stated[2, 2])
+        return Pose(self._shot, _normed(stated))
 
     def _placed(self, gray: Array, seen: Array) -> Array | None:
         """Return the homography from the frame to its shot; None where it belongs to no shot so far."""
@@ -120,8 +119,13 @@ class CameraPath:
                 return None
             self._key, found = self._before, np.eye(3)
         self._in_key = found
-        to_shot: Array = self._key.to_shot @ np.linalg.inv(found)
-        return to_shot / to_shot[2, 2]
+        return _normed(self._key.to_shot @ np.linalg.inv(found))
+
+
+def _normed(matrix: Array) -> Array:
+    """Scale a homography so that its last element is 1."""
+    normed: Array = matrix / matrix[2, 2]
+    return normed
 
 
 def _resized(size: tuple[int, int], other: tuple[int, int]) -> Array:
@@ -150,7 +154,7 @@ def _tracked(key: _Key, gray: Array, seen: Array, guess: Array) -> tuple[Array |
     if matrix is None or agree.sum() < max(LEAST_POINTS, LEAST_SHARE * good.sum()):
         return None, 0.0
     height, width = gray.shape
-    corners = np.float32([[[0, 0]], [[width, 0]], [[width, height]], [[0, height]]])  # type: ignore[arg-type]
+    corners = np.array([[[0, 0]], [[width, 0]], [[width, height]], [[0, height]]], np.float32)
     moved = cv2.perspectiveTransform(corners, matrix)
     area = cv2.contourArea(moved, oriented=True) / cv2.contourArea(corners, oriented=True)
     if not 0.1 < area < 10.0:

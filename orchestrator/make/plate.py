@@ -235,7 +235,7 @@ def _carried(
     there = at_points(to_pixels(places[index - 1]), hole.at[wanted])
     at = in_picture(there, motion.size, before.never_seen.shape)
     height, width = before.never_seen.shape
-    within = (at >= 0).all(axis=1) & (at <= (width - 1, height - 1)).all(axis=1)
+    within: Array = np.all((at >= 0) & (at <= (width - 1, height - 1)), axis=1)
     return at_points(before.picture, at).astype(np.float32), within
 
 

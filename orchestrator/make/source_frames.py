@@ -154,7 +154,8 @@ def _worth(source: Source, there: Array, here: Array, nearness: float) -> Array:
     """Return what a source shows of places (n, 2) of a frame so many frames away, 0 … 1 each."""
     (height, width), sketch = source.clear.shape, source.sketch.gray.shape
     moved = np.linalg.norm(there - here, axis=1) / sketch[1]
-    at = np.round((there + 0.5) * np.float32([width / sketch[1], height / sketch[0]]) - 0.5).astype(int)
+    scale = np.array([width / sketch[1], height / sketch[0]])
+    at = np.round((there + 0.5) * scale - 0.5).astype(int)
     inside = (at >= 0).all(axis=1) & (at < (width, height)).all(axis=1)
     clear = np.zeros(len(there))
     clear[inside] = source.clear[at[inside, 1], at[inside, 0]] / 255
