@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import traceback
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,10 +37,15 @@ SHEET_FRAMES = 8
 
 
 class ScoredMask(NamedTuple):
-    """A mask's score, and its intersection over union with a truth object, each in [0, 1]."""
+    """A mask with its score, its quality and its object's score, each in [0, 1].
+
+    ``iou`` is its intersection over union with the truth object that it fits best, ``object_score`` the mean
+    score of all masks of its label in the sequence.
+    """
 
     score: float
     iou: float
+    object_score: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,8 +172,12 @@ def scored_masks(score: SequenceScore, scores: Mapping[int, Mapping[int, float]]
     scores : mapping of int to mapping of int to float
         Frame index → label → score.
     """
+    of_label: defaultdict[int, list[float]] = defaultdict(list)
+    for of_frame in scores.values():
+        for label, one in of_frame.items():
+            of_label[label].append(one)
     return tuple(
-        ScoredMask(scores[frame.index][label], iou)
+        ScoredMask(scores[frame.index][label], iou, sum(of_label[label]) / len(of_label[label]))
         for frame in score.per_frame
         for label, iou in frame.ious.items()
         if label in scores.get(frame.index, ())
