@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from mlbs_actors.appearance.own_appearance import Appearance, AppearanceFactory
 from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.determinism import single_threaded
@@ -84,6 +85,10 @@ class MultilayerSubtractor:
         Your own point tracker, which trajectories follow in place of the flow: maps two frames (H, W, 3)
         uint8 BGR and points of the first, (n, 2) float32, (x, y) in px, to their places in the second, (n, 2)
         float, and to whether they are seen there, (n,) bool. Where new ones begin is decided here.
+    appearance : callable, optional
+        Your own model of what a layer looks like, in place of its remembered colours: a class whose only
+        argument is the layer's kind (``"background"``, ``"object"`` or ``"other"``), with the methods of
+        :class:`~mlbs_actors.appearance.own_appearance.Appearance`. Each layer that is born gets one.
 
     Raises
     ------
@@ -119,6 +124,7 @@ class MultilayerSubtractor:
         flow: FlowFunction | None = None,
         ignored: Array | None = None,
         tracks: TrackFunction | None = None,
+        appearance: AppearanceFactory | None = None,
     ) -> None:
         if config is not None and not isinstance(config, Config):
             raise ConfigError(f"Give a Config, not {config!r}; load_config reads one from a file.")
@@ -129,7 +135,8 @@ class MultilayerSubtractor:
             )
         self.config = config or Config()
         self._inspector = inspector
-        self._arguments = self.config, inspector, flow, ignored, tracks  # to pickle
+        self._arguments = self.config, inspector, flow, ignored, tracks, appearance  # to pickle
+        self._appearance = appearance
         self._coordinator = Coordinator(self.config, flow=flow, ignored=ignored, tracks=tracks)
         self._segmenter = Segmenter(self.config)
         self._layers: dict[int, Layer] = {}
@@ -155,6 +162,7 @@ class MultilayerSubtractor:
                 "arguments": self._arguments,
                 "tags": self._tags,
                 "state": capture(state),
+                "own": {layer: one.own for layer, one in self._layers.items()},
             }
 
     def __setstate__(self, pickled: dict[str, Any]) -> None:
@@ -163,7 +171,8 @@ class MultilayerSubtractor:
         self._coordinator.state = state.coordinator
         self._segmenter = Segmenter(self.config, state.segmenter)
         self._layers = {
-            layer: Layer(self.config, layer, one.kind, one.state) for layer, one in state.layers.items()
+            layer: Layer(self.config, layer, one.kind, one.state, pickled["own"][layer])
+            for layer, one in state.layers.items()
         }
         self._waiting, self._published = state.waiting, state.published
         self._tags, self._known = pickled["tags"], set(state.known)
@@ -190,6 +199,8 @@ class MultilayerSubtractor:
         ------
         FrameError
             If the frame has another type, or a flow or tracks function returned something else.
+        LayerError
+            If an appearance returned something else.
         MlbsError
             If called by another thread, or the inspector, during a frame; that frame is finished.
         """
@@ -289,6 +300,10 @@ class MultilayerSubtractor:
         finally:
             self._lock.release()
 
+    def _own(self, kind: LayerKind) -> Appearance | None:
+        """Make the caller's model of a new-born layer, if there is one."""
+        return None if self._appearance is None else self._appearance(kind)
+
     def _label(self, made: FrameEvidence, frame: Array) -> Segmentation:
         evidence = readonly(made)
         index = evidence.frame_index
@@ -297,7 +312,7 @@ class MultilayerSubtractor:
         posteriors = []
         for one in evidence.tracks:
             if one.layer not in self._layers:
-                self._layers[one.layer] = Layer(self.config, one.layer, one.kind)
+                self._layers[one.layer] = Layer(self.config, one.layer, one.kind, own=self._own(one.kind))
             layer = self._layers[one.layer]
             posteriors.append(readonly(layer.step(evidence, self._published.get(index - 1))))
         segmentation = self._segmenter.step(evidence, frame, posteriors)

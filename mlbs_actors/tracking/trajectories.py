@@ -18,6 +18,7 @@ from mlbs_actors.flow.consistency import DenseFlow, reliable_at
 from mlbs_actors.geometry.interpolation import sample_flow
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
+from mlbs_actors.wording import described
 
 __all__ = [
     "TrackFunction",
@@ -142,7 +143,7 @@ def follow_trajectories(
     count = len(state)
     if count == 0:
         return state, np.zeros(0, np.intp)
-    places, seen = map(np.asarray, function(previous, current, state.positions.copy()))
+    places, seen = _places_and_mask(function(previous, current, state.positions.copy()), count)
     if places.shape != (count, 2) or not np.issubdtype(places.dtype, np.floating):
         raise FrameError(
             f"The tracks function returned places {places.shape} {places.dtype}; it must return that of each "
@@ -161,6 +162,20 @@ def follow_trajectories(
     survivors = np.flatnonzero(seen & inside)
     positions = places[survivors].astype(np.float32)
     return _advanced(state, survivors, positions, state.positions[survivors] - positions), survivors
+
+
+def _places_and_mask(returned: object, count: int) -> tuple[Array, Array]:
+    """Take what a function has returned apart."""
+    if isinstance(returned, (tuple, list)) and len(returned) == 2:
+        try:
+            return np.asarray(returned[0]), np.asarray(returned[1])
+        except (TypeError, ValueError, RuntimeError):  # lists of several lengths, a tensor on another device
+            pass
+    raise FrameError(
+        f"The tracks function returned {described(returned)}; it must return two arrays: the place of each "
+        f"of the points in the second frame, {(count, 2)} float32, px, and which of them are seen there, "
+        f"{(count,)} bool."
+    )
 
 
 def _advanced(state: TrajectoryState, survivors: Array, positions: Array, motions: Array) -> TrajectoryState:

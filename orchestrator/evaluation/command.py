@@ -42,7 +42,7 @@ from orchestrator.run.versions import installed_versions
 __all__ = ["main"]
 
 #: What only the engine can be given.
-_FOR_ENGINE = ("set", "lookahead", "config", "flow")
+_FOR_ENGINE = ("set", "lookahead", "config", "flow", "tracks")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -108,9 +108,11 @@ def _refuse(options: argparse.Namespace, names: Sequence[str], sentence: str) ->
 
 
 def _score_engine(options: argparse.Namespace, question: Question | None) -> list[VariantResults]:
-    if options.flow and question is not None and question.changes_frames:
-        raise ConfigError(
-            "--disturb and --sizes change the frames, which stored flow would not fit: leave --flow out."
+    if question is not None and question.changes_frames:
+        _refuse(
+            options,
+            ("flow", "tracks"),
+            "--disturb and --sizes change the frames, which stored motion would not fit: leave {} out.",
         )
     if options.jobs < 1:
         raise ConfigError(f"--jobs is {options.jobs}; it must be 1 or more.")
@@ -125,7 +127,7 @@ def _score_engine(options: argparse.Namespace, question: Question | None) -> lis
         for sequence in opened:
             change(sequence)
     tells_time = options.paper or (question is not None and question.tells_time)
-    setup = EngineSetup(options.data, options.config, options.flow, options.sheets)
+    setup = EngineSetup(options.data, options.config, options.flow, options.tracks, options.sheets)
     return run_variants(variants, names, setup, options.jobs, warm_engine if tells_time else None)
 
 
@@ -226,8 +228,11 @@ def _what_ran(options: argparse.Namespace) -> dict[str, Any]:
         return {"masks": {one.name: str(one.folder) for one in mask_folders(options.masks)}}
     config = load_config(options.config, _overrides(options))
     changed = config.model_dump(mode="json", exclude_defaults=True)
-    flow = None if options.flow is None else str(options.flow)
-    return {"parameters": changed, "flow": flow, "versions": installed_versions()}
+    stored = {
+        name: None if folder is None else str(folder)
+        for name, folder in (("flow", options.flow), ("tracks", options.tracks))
+    }
+    return {"parameters": changed, **stored, "versions": installed_versions()}
 
 
 def _as_json(

@@ -154,6 +154,13 @@ def evaluation_parser() -> argparse.ArgumentParser:
         "backward/NAME/STEM.flo to the one before, or .npy",
     )
     add(
+        "--tracks",
+        type=Path,
+        metavar="FOLDER",
+        help="have trajectories follow stored points in place of the flow: NAME.npz with tracks (frames, "
+        "points, 2) and visible (frames, points)",
+    )
+    add(
         "--reliability",
         action="store_true",
         help="also print how well the score of a mask says its intersection over union with the truth",

@@ -16,12 +16,12 @@ from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import FrameError, MlbsError, SinkError
 from mlbs_actors.messages import Array
+from mlbs_actors.stored_motion import StoredMotion
 from mlbs_actors.warm_up import warm_coordinator, warm_segmenter
 from orchestrator.evaluation import datasets, sequences
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, extra_layer_sheet, spread_evenly
 from orchestrator.evaluation.labelling import EngineLabelling, ResizingSubtractor, Subtractor
 from orchestrator.evaluation.sequence_scorer import SequenceScore, SequenceScorer
-from orchestrator.evaluation.stored_flow import StoredFlow
 
 __all__ = [
     "EngineSetup",
@@ -99,8 +99,8 @@ class EngineSetup:
         The data root.
     config : Path or None
         YAML file with parameters.
-    flow : Path or None
-        Folder of stored flow; see :mod:`orchestrator.evaluation.stored_flow`.
+    flow, tracks : Path or None
+        Folders of stored flow and tracks; see :mod:`mlbs_actors.stored_motion`.
     sheets : Path or None
         Folder for contact sheets.
     """
@@ -108,6 +108,7 @@ class EngineSetup:
     root: Path | None = None
     config: Path | None = None
     flow: Path | None = None
+    tracks: Path | None = None
     sheets: Path | None = None
 
 
@@ -216,11 +217,11 @@ def engine_result(
         if change is not None:
             sequence = change(sequence)
         config = load_config(setup.config, list(overrides))
-        flow = StoredFlow(setup.flow, sequence) if setup.flow is not None else None
-        subtractor: Subtractor = MultilayerSubtractor(config, flow=flow)
+        motion = StoredMotion(sequence.name, setup.flow, setup.tracks)
+        subtractor: Subtractor = MultilayerSubtractor(config, flow=motion.flow, tracks=motion.tracks)
         if longer_side is not None:
             subtractor = ResizingSubtractor(subtractor, longer_side)
-        labelling = EngineLabelling(sequence, subtractor, flow)
+        labelling = EngineLabelling(sequence, subtractor, motion if motion.is_asked else None)
         result = score_sequence(sequence, labelling, setup.sheets)
     except MlbsError as error:
         return SequenceResult(name, error=str(error))

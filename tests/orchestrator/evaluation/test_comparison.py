@@ -65,7 +65,7 @@ def test_a_sweep_is_a_table_with_differences_from_the_default(
     for name in ("one", "two"):
         write_bright_sequence(tmp_path / "data" / name)
 
-    def engine(config: Config, flow: object) -> BrightSubtractor:
+    def engine(config: Config, flow: object, tracks: object) -> BrightSubtractor:
         return BrightSubtractor(blind=config.layers.lookahead > 2)
 
     monkeypatch.setattr(scoring, "MultilayerSubtractor", engine)

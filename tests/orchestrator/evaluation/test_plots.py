@@ -58,7 +58,7 @@ def test_plots_are_written_for_looking_and_for_papers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_bright_sequence(tmp_path / "data/set/clip")
-    monkeypatch.setattr(scoring, "MultilayerSubtractor", lambda config, flow: BrightSubtractor())
+    monkeypatch.setattr(scoring, "MultilayerSubtractor", lambda config, flow, tracks: BrightSubtractor())
     arguments = ["--data", f"{tmp_path}/data", "--jobs", "1", "--plots"]
     assert main([*arguments, f"{tmp_path}/plots"]) == 0
     assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == [
