@@ -11,6 +11,8 @@
 ``FrameInspection``                what an inspector sees of a frame: of each layer a
                                    ``LayerInspection``
 ``Config``, ``load_config``        all parameters, and how to change some of them
+``Appearance``                     what an appearance model of your own has to have
+``StoredMotion``                   flow and tracks that are read from files
 ``compile_kernels``                done beforehand, the first frame does not wait for it
 ``MlbsError``                      base of all errors: ``ConfigError``, ``FrameError``, ``LayerError``,
                                    ``MissingPackageError``, ``SinkError``, ``SolverError``,
@@ -48,7 +50,9 @@ from mlbs_actors.messages import Boxes, LayerSummary, Region, Segmentation
 from mlbs_actors.result import Result
 
 if TYPE_CHECKING:
+    from mlbs_actors.appearance.own_appearance import Appearance
     from mlbs_actors.inspection import FrameInspection, LayerInspection
+    from mlbs_actors.stored_motion import StoredMotion
     from mlbs_actors.subtractor import MultilayerSubtractor
     from mlbs_actors.warm_up import compile_kernels
 
@@ -58,6 +62,7 @@ if not (4, 10) <= tuple(map(int, cv2.__version__.split(".")[:2])) < (6, 0):
     raise ImportError(f"mlbs_actors needs OpenCV 4.10 to 5, not {cv2.__version__}; install one of those.")
 
 __all__ = [
+    "Appearance",
     "Boxes",
     "Config",
     "ConfigError",
@@ -75,6 +80,7 @@ __all__ = [
     "SinkError",
     "SolverError",
     "SourceError",
+    "StoredMotion",
     "compile_kernels",
     "load_config",
 ]
@@ -87,9 +93,11 @@ def __dir__() -> list[str]:
 #: The modules of names that are imported when they are asked for: most processes of a stream need a part of
 #: the engine or none.
 _HOMES = {
+    "Appearance": "appearance.own_appearance",
     "FrameInspection": "inspection",
     "LayerInspection": "inspection",
     "MultilayerSubtractor": "subtractor",
+    "StoredMotion": "stored_motion",
     "compile_kernels": "warm_up",
 }
 _MODULES = ("pictures", "record", "scenes")

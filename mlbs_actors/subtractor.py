@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from mlbs_actors.appearance.own_appearance import Appearance, AppearanceFactory
 from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.determinism import single_threaded
@@ -86,6 +87,10 @@ class MultilayerSubtractor:
     colour : {"bgr", "rgb"}
         Order of the channels of the frames that are given, and that ``segment`` yields. The label maps are
         the same. ``inspector``, ``flow`` and ``tracks`` are given BGR always.
+    appearance : callable, optional
+        Your own model of what a layer looks like, in place of its remembered colours: a class whose only
+        argument is the layer's kind (``"background"``, ``"object"`` or ``"other"``), with the methods of
+        :class:`~mlbs_actors.appearance.own_appearance.Appearance`. Each layer that is born gets one.
 
     Raises
     ------
@@ -125,6 +130,7 @@ class MultilayerSubtractor:
         ignored: Array | None = None,
         tracks: TrackFunction | None = None,
         colour: Literal["bgr", "rgb"] = "bgr",
+        appearance: AppearanceFactory | None = None,
     ) -> None:
         if config is not None and not isinstance(config, Config):
             raise ConfigError(f"Give a Config, not {config!r}; load_config reads one from a file.")
@@ -138,7 +144,8 @@ class MultilayerSubtractor:
         self.config = config or Config()
         self._inspector = inspector
         self._is_rgb = colour == "rgb"
-        self._arguments = self.config, inspector, flow, ignored, tracks, colour  # to pickle
+        self._arguments = self.config, inspector, flow, ignored, tracks, colour, appearance  # to pickle
+        self._appearance = appearance
         self._coordinator = Coordinator(self.config, flow=flow, ignored=ignored, tracks=tracks)
         self._segmenter = Segmenter(self.config)
         self._layers: dict[int, Layer] = {}
@@ -173,6 +180,7 @@ class MultilayerSubtractor:
                 "arguments": self._arguments,
                 "tags": self._tags,
                 "state": capture(state),
+                "own": {layer: one.own for layer, one in self._layers.items()},
             }
 
     def __setstate__(self, pickled: dict[str, Any]) -> None:
@@ -181,7 +189,8 @@ class MultilayerSubtractor:
         self._coordinator.state = state.coordinator
         self._segmenter = Segmenter(self.config, state.segmenter)
         self._layers = {
-            layer: Layer(self.config, layer, one.kind, one.state) for layer, one in state.layers.items()
+            layer: Layer(self.config, layer, one.kind, one.state, pickled["own"][layer])
+            for layer, one in state.layers.items()
         }
         self._waiting, self._published = state.waiting, state.published
         self._tags, self._known = pickled["tags"], set(state.known)
@@ -209,6 +218,8 @@ class MultilayerSubtractor:
         ------
         FrameError
             If the frame has another type, or a flow or tracks function returned something else.
+        LayerError
+            If an appearance returned something else.
         MlbsError
             If called by another thread, or the inspector, during a frame; that frame is finished.
         """
@@ -316,6 +327,10 @@ class MultilayerSubtractor:
         finally:
             self._lock.release()
 
+    def _own(self, kind: LayerKind) -> Appearance | None:
+        """Make the caller's model of a new-born layer, if there is one."""
+        return None if self._appearance is None else self._appearance(kind)
+
     def _label(self, made: FrameEvidence, frame: Array) -> Segmentation:
         evidence = readonly(made)
         index = evidence.frame_index
@@ -324,7 +339,7 @@ class MultilayerSubtractor:
         posteriors = []
         for one in evidence.tracks:
             if one.layer not in self._layers:
-                self._layers[one.layer] = Layer(self.config, one.layer, one.kind)
+                self._layers[one.layer] = Layer(self.config, one.layer, one.kind, own=self._own(one.kind))
             layer = self._layers[one.layer]
             posteriors.append(readonly(layer.step(evidence, self._published.get(index - 1))))
         segmentation = self._segmenter.step(evidence, frame, posteriors)

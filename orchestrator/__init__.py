@@ -11,8 +11,8 @@ command ``mlbs-actors`` is its face; for programs there is this:
 ``StreamResult``                   what they give
 =================================  ===================================================================
 
-:mod:`orchestrator.evaluation` has ``open_sequence`` and ``StoredFlow`` for research. All else are parts of a
-run, which need the extra ``run``.
+:mod:`orchestrator.evaluation` has ``open_sequence`` for research. All else are parts of a run, which need the
+extra ``run``.
 """
 
 import sys

@@ -168,6 +168,14 @@ def log_format(text: str) -> LogFormat:
     raise ValueError(f"takes {' or '.join(FORMATS)}, not {text!r}.")
 
 
+def existing_folder(text: str) -> Path:
+    """Read the path of a folder that must be there."""
+    path = Path(text).absolute()
+    if not path.is_dir():
+        raise ValueError(f"names {text}, which is no folder; check the path.")
+    return path
+
+
 def ignored(words: Sequence[str]) -> Ignored:
     """Read the files of what is fixed in pictures."""
     from orchestrator.ignored import read_ignored

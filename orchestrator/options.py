@@ -244,6 +244,32 @@ class Arguments:
             page="method.md#what-is-fixed-in-the-picture",
         ),
     ]
+    flow: Annotated[
+        Path | None,
+        Option(
+            "use stored flow in place of the engine's own: forward/NAME/STEM.flo for the stream NAME, from "
+            "the frame STEM to the next, backward/NAME/STEM.flo to the one before, or .npy",
+            "FOLDER",
+            read=values.existing_folder,
+            write=values.absolute,
+            record=str,
+            effect=Effect.FIXED,
+            page="research.md#another-flow",
+        ),
+    ] = None
+    tracks: Annotated[
+        Path | None,
+        Option(
+            "have trajectories follow stored points in place of the flow: NAME.npz for the stream NAME, with "
+            "tracks (frames, points, 2) and visible (frames, points)",
+            "FOLDER",
+            read=values.existing_folder,
+            write=values.absolute,
+            record=str,
+            effect=Effect.FIXED,
+            page="research.md#other-trajectories",
+        ),
+    ] = None
     zones: Annotated[
         "ZonesFile",
         Option(

@@ -20,7 +20,8 @@ from jsonschema import Draft7Validator
 from mlbs_actors.actors.node.memory import NodeMemory
 from orchestrator.command_line import parse
 from orchestrator.monitor.address import TOKEN_VARIABLE
-from orchestrator.run.admission import STREAMS_A_CORE, places
+from orchestrator.run.admission import places
+from orchestrator.run.need import STREAMS_A_CORE
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 CRDS = os.environ.get("MLBS_KUBERAY_CRDS")

@@ -25,6 +25,7 @@ from mlbs_actors.messages import (
     LayerPosterior,
     Segmentation,
 )
+from mlbs_actors.stored_motion import StoredMotion
 
 __all__ = [
     "CoordinatorPart",
@@ -98,8 +99,13 @@ class SegmenterPart(Protocol):
 class PartFactory(Protocol):
     """Makes the parts inside the actor processes; picklable."""
 
-    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
-        """Make a stream's coordinator; ``ignored`` is a mask of what is fixed in the picture."""
+    def coordinator(
+        self, config: Config, ignored: Array | None = None, motion: StoredMotion | None = None
+    ) -> CoordinatorPart:
+        """Make a stream's coordinator; ``ignored`` is a mask of what is fixed in the picture.
+
+        ``motion`` takes the place of the engine's own.
+        """
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """Make a layer."""
@@ -120,11 +126,18 @@ class PartFactory(Protocol):
 class EngineParts:
     """The engine of this package, imported only in the processes that run it."""
 
-    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
-        """Make a stream's coordinator; ``ignored`` is a mask of what is fixed in the picture."""
+    def coordinator(
+        self, config: Config, ignored: Array | None = None, motion: StoredMotion | None = None
+    ) -> CoordinatorPart:
+        """Make a stream's coordinator; ``ignored`` is a mask of what is fixed in the picture.
+
+        ``motion`` takes the place of the engine's own.
+        """
         from mlbs_actors.coordinator import Coordinator
 
-        return Coordinator(config, ignored=ignored)
+        if motion is None:
+            return Coordinator(config, ignored=ignored)
+        return Coordinator(config, flow=motion.flow, ignored=ignored, tracks=motion.tracks)
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """Make a layer."""

@@ -25,6 +25,7 @@ from mlbs_actors.flow.inverse_search import FlowLevel, coarsest_level, flow_leve
 from mlbs_actors.flow.patch_search import PATCH
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array, Region
+from mlbs_actors.wording import described
 
 __all__ = [
     "LEAST_CELLS",
@@ -198,11 +199,11 @@ def _from_function(function: FlowFunction, first: Array, second: Array, side: in
     returned = function(first, second)
     try:
         flow = np.asarray(returned)
-    except ValueError as error:  # such as lists of different lengths
-        raise FrameError(f"The flow function returned what is no array: {error}.") from None
+    except (TypeError, ValueError, RuntimeError):  # lists of several lengths, a tensor on another device
+        flow = np.asarray(None)
     if flow.shape != (*first.shape[:2], 2) or not np.issubdtype(flow.dtype, np.floating):
         raise FrameError(
-            f"The flow function returned {flow.shape} {flow.dtype}; it must return the motion in px of each "
+            f"The flow function returned {described(returned)}; it must return the motion in px of each "
             f"pixel of the first frame, {(*first.shape[:2], 2)} float32."
         )
     if not np.isfinite(flow).all():

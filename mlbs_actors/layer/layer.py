@@ -40,7 +40,8 @@ import cv2
 import numpy as np
 
 from mlbs_actors.appearance.colour_density import AppearanceParameters, mean_confidence, warp_and_evaluate
-from mlbs_actors.appearance.colour_model import median_colours, relight, update
+from mlbs_actors.appearance.colour_model import empty_model, median_colours, relight, update
+from mlbs_actors.appearance.own_appearance import Appearance, asked
 from mlbs_actors.appearance.warp import warp_map
 from mlbs_actors.cells import cell_side, cells_won, in_cells, spread_over_cells
 from mlbs_actors.config import Config
@@ -107,15 +108,26 @@ class Layer:
     kind : {"background", "object", "other"}
     state : LayerState, optional
         To continue from a snapshot; new-born by default.
+    own : Appearance, optional
+        The caller's model of its colours, in place of the samples in the state, of which there are none then.
 
     Attributes
     ----------
+    own : Appearance or None
     field : MotionField or None
         Its motion in the last frame.
     """
 
-    def __init__(self, config: Config, layer: int, kind: LayerKind, state: LayerState | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        layer: int,
+        kind: LayerKind,
+        state: LayerState | None = None,
+        own: Appearance | None = None,
+    ) -> None:
         self.config = config
+        self.own = own
         self.layer = layer
         self.kind = kind
         self.state = state or LayerState.beginning(config.appearance.samples)
@@ -188,8 +200,11 @@ class Layer:
         if previous is None or previous.evaluated_frame != state.last_frame:
             return np.zeros((0, 0), np.float32)
         won, learnt = cells_won(previous.labels, self.layer, state.home, state.cell, state.trusted)
-        update(state.model, state.image, learnt)
         cells, home = in_cells(state.region, state.cell), in_cells(state.home, state.cell)
+        if self.own is None:
+            update(state.model, state.image, learnt)
+        else:
+            self.own.update(state.image, learnt, home)
         own = np.ascontiguousarray(won[slices_in(cells, home)])
         return finished_posterior(
             self.config, (state.cost, state.log_ratio, state.samples), previous, cells, own
@@ -238,16 +253,19 @@ class Layer:
         if not config.appearance.warp:
             carried, carried_in_region = np.zeros_like(motions), np.zeros_like(motion)
         # The appearance moves along and is compared with the frame's colours;
-        opened = np.zeros(image.shape[:2], np.bool_)
-        opened[part] = needed
-        density = AppearanceParameters.configured(config, self.kind, side)
-        model, log_density = warp_and_evaluate(state.model, home_cells, carried, image, density, opened)
-        log_ratio, samples = quantised_colours(
-            np.ascontiguousarray(log_density[part]),
-            np.ascontiguousarray(model.count[part]),
-            needed,
-            config.posterior.appearance_cap,
-        )
+        if self.own is None:
+            opened = np.zeros(image.shape[:2], np.bool_)
+            opened[part] = needed
+            density = AppearanceParameters.configured(config, self.kind, side)
+            model, log_density = warp_and_evaluate(state.model, home_cells, carried, image, density, opened)
+            log_density = np.ascontiguousarray(log_density[part])
+            known = np.ascontiguousarray(model.count[part])
+        else:
+            model = empty_model(home_cells, 1)
+            log_density, known = asked(
+                self.own, image[part], cells, carried_in_region, config.appearance.samples
+            )
+        log_ratio, samples = quantised_colours(log_density, known, needed, config.posterior.appearance_cap)
         # so does the last posterior, which is the prior.
         before = in_cells(state.region, state.cell)
         prior = warp_map(last_posterior, before, cells, carried_in_region, needed)
@@ -294,6 +312,7 @@ class Layer:
     def _posterior(self, stage_ms: dict[str, float]) -> LayerPosterior:
         state = self.state
         density = AppearanceParameters.configured(self.config, self.kind, state.cell)
+        samples = state.model.count if self.own is None else state.samples
         return LayerPosterior(
             layer=self.layer,
             frame_index=state.last_frame,
@@ -304,7 +323,7 @@ class Layer:
             log_ratio=state.log_ratio,
             samples=state.samples,
             outside_cost=OUTSIDE_COST,
-            confidence=mean_confidence(state.model.count, density),
+            confidence=mean_confidence(samples, density),
             velocity=state.velocity,
             stage_ms=stage_ms,
         )

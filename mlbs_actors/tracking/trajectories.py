@@ -18,6 +18,7 @@ from mlbs_actors.flow.consistency import DenseFlow, reliable_at
 from mlbs_actors.geometry.interpolation import sample_flow
 from mlbs_actors.kernels.jit import compiled
 from mlbs_actors.messages import Array
+from mlbs_actors.wording import described
 
 __all__ = [
     "TrackFunction",
@@ -142,16 +143,7 @@ def follow_trajectories(
     count = len(state)
     if count == 0:
         return state, np.zeros(0, np.intp)
-    returned = function(previous, current, state.positions.copy())
-    if not isinstance(returned, (tuple, list)) or len(returned) != 2:
-        raise FrameError(
-            f"The tracks function returned {_kind_of(returned)}; it must return two: the places of the "
-            f"points, {(count, 2)} float32, px, and which of them are seen, {(count,)} bool."
-        )
-    try:
-        places, seen = map(np.asarray, returned)
-    except ValueError as error:  # such as lists of different lengths
-        raise FrameError(f"The tracks function returned what is no array: {error}.") from None
+    places, seen = _places_and_mask(function(previous, current, state.positions.copy()), count)
     if places.shape != (count, 2) or not np.issubdtype(places.dtype, np.floating):
         raise FrameError(
             f"The tracks function returned places {places.shape} {places.dtype}; it must return that of each "
@@ -172,11 +164,18 @@ def follow_trajectories(
     return _advanced(state, survivors, positions, state.positions[survivors] - positions), survivors
 
 
-def _kind_of(returned: object) -> str:
-    if isinstance(returned, np.ndarray):
-        return f"one array {returned.shape} {returned.dtype}"
-    name = type(returned).__name__
-    return f"a {name} of {len(returned)}" if isinstance(returned, (tuple, list)) else f"a {name}"
+def _places_and_mask(returned: object, count: int) -> tuple[Array, Array]:
+    """Take what a function has returned apart."""
+    if isinstance(returned, (tuple, list)) and len(returned) == 2:
+        try:
+            return np.asarray(returned[0]), np.asarray(returned[1])
+        except (TypeError, ValueError, RuntimeError):  # lists of several lengths, a tensor on another device
+            pass
+    raise FrameError(
+        f"The tracks function returned {described(returned)}; it must return two arrays: the place of each "
+        f"of the points in the second frame, {(count, 2)} float32, px, and which of them are seen there, "
+        f"{(count,)} bool."
+    )
 
 
 def _advanced(state: TrajectoryState, survivors: Array, positions: Array, motions: Array) -> TrajectoryState:

@@ -1,7 +1,6 @@
 """Scoring label maps against truth, behind ``scripts/evaluate``.
 
-For programs it has ``open_sequence``, which opens a sequence of a data set, and ``StoredFlow``, a flow
-function that reads files.
+For programs it has ``open_sequence``, which opens a sequence of a data set.
 
 Read :mod:`.options` and :mod:`.command` (what is asked for, and who does it), :mod:`.datasets` and
 :mod:`.sequences` (pictures and truth), :mod:`.labelling` (label maps of a run or of the engine),
@@ -14,13 +13,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from orchestrator.evaluation.datasets import open_sequence
-    from orchestrator.evaluation.stored_flow import StoredFlow
 
-__all__ = ["StoredFlow", "open_sequence"]
+__all__ = ["open_sequence"]
 
 #: The modules of these names, which are imported when they are asked for: the help needs none.
 _HOMES = {
-    "StoredFlow": "orchestrator.evaluation.stored_flow",
     "open_sequence": "orchestrator.evaluation.datasets",
 }
 

@@ -14,8 +14,9 @@ depth; a sequence's name is the path of its truth below the root without ``gt`` 
 
 from __future__ import annotations
 
+import fnmatch
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
@@ -25,6 +26,7 @@ from orchestrator.evaluation.options import DATA_VARIABLE
 from orchestrator.evaluation.sequences import FileSequence, FolderSequence, SceneSequence, Sequence
 
 __all__ = [
+    "chosen_sequences",
     "data_root",
     "find_sequences",
     "open_sequence",
@@ -54,6 +56,30 @@ def data_root(given: Path | None) -> Path:
 def find_sequences(root: Path) -> list[str]:
     """List the names of all sequences below the root, in order."""
     return [_name(truth, root) for truth in sorted(_truth_folders(root))]
+
+
+def chosen_sequences(asked: Iterable[str], data: Path | None) -> list[str]:
+    """List the sequences of names, globs of names and ``synthetic:`` URIs.
+
+    Raises
+    ------
+    ConfigError
+        If there is no data root, or a glob fits nothing below it.
+    """
+    return [name for text in asked for name in _names_of(text, data)]
+
+
+def _names_of(text: str, data: Path | None) -> list[str]:
+    if text.startswith(SCHEME) or not set(text) & set("*?["):
+        return [text]
+    root = data_root(data)
+    names = fnmatch.filter(find_sequences(root), text)
+    if not names:
+        raise ConfigError(
+            f"No sequence {text} is below {root}: there must be frames/ and gt/, JPEGImages/ and "
+            "Annotations/, or pictures and a file …Def.dat."
+        )
+    return names
 
 
 def open_sequence(name: str, root: Path | None) -> Sequence:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 import statistics
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 from orchestrator.evaluation.scoring import SequenceResult
 from orchestrator.evaluation.sequence_scorer import SequenceScore
+from orchestrator.evaluation.track_metrics import TrackScore
 
 __all__ = [
     "COLUMNS",
@@ -59,16 +60,37 @@ _RANGES: tuple[Column, ...] = (
 )
 _DAVIS: tuple[Column, ...] = (
     ("j davis", lambda result, score: 100 * score.davis.j),
+    ("j recall davis", lambda result, score: 100 * score.davis.j_recall),
+    ("j decay davis", lambda result, score: 100 * score.davis.j_decay),
     ("f davis", lambda result, score: 100 * score.davis.f),
+    ("f recall davis", lambda result, score: 100 * score.davis.f_recall),
+    ("f decay davis", lambda result, score: 100 * score.davis.f_decay),
     ("j&f davis", lambda result, score: 100 * score.davis.j_and_f),
+)
+
+
+def _davis17(figures: Callable[[TrackScore], float]) -> Callable[[SequenceResult, SequenceScore], float]:
+    """Return the column of a figure of the objects: its mean over them, percent."""
+    return lambda result, score: 100 * mean_of_sequences(map(figures, score.davis_tracks))
+
+
+#: Figures of DAVIS 2017's unsupervised task, of one object.
+_TRACK_FIGURES: Mapping[str, Callable[[TrackScore], float]] = {
+    "j": lambda track: track.j.mean,
+    "j recall": lambda track: track.j.recall,
+    "j decay": lambda track: track.j.decay,
+    "f": lambda track: track.f.mean,
+    "f recall": lambda track: track.f.recall,
+    "f decay": lambda track: track.f.decay,
+    "j&f": lambda track: track.j_and_f,
+}
+_DAVIS17: tuple[Column, ...] = (
     ("objects", lambda result, score: float(len(score.davis_tracks))),
-    ("j davis17", lambda result, score: 100 * mean_of_sequences(one.j for one in score.davis_tracks)),
-    ("f davis17", lambda result, score: 100 * mean_of_sequences(one.f for one in score.davis_tracks)),
-    ("j&f davis17", lambda result, score: 100 * mean_of_sequences(one.j_and_f for one in score.davis_tracks)),
+    *((f"{heading} davis17", _davis17(figure)) for heading, figure in _TRACK_FIGURES.items()),
 )
 
 #: The tables of a report, in order.
-TABLES = (_FIGURES, _RANGES, _DAVIS)
+TABLES = (_FIGURES, _RANGES, _DAVIS, _DAVIS17)
 
 #: All columns by heading.
 COLUMNS = dict(itertools.chain(*TABLES))
@@ -87,14 +109,10 @@ def mean_of_sequences(values: Iterable[float]) -> float:
 
 
 def mean_of_objects(results: Iterable[SequenceResult]) -> dict[str, float]:
-    """Average over all objects of all sequences, as DAVIS 2017 does, percent: ``j``, ``f`` and ``j&f``."""
+    """Average over all objects of all sequences, as DAVIS 2017 does, percent: ``j``, ``j recall``, …."""
     tracks = [one for result in results if result.score is not None for one in result.score.davis_tracks]
-    return {
-        "objects": len(tracks),
-        "j": 100 * mean_of_sequences(one.j for one in tracks),
-        "f": 100 * mean_of_sequences(one.f for one in tracks),
-        "j&f": 100 * mean_of_sequences(one.j_and_f for one in tracks),
-    }
+    means = {name: 100 * mean_of_sequences(map(figure, tracks)) for name, figure in _TRACK_FIGURES.items()}
+    return {"objects": len(tracks), **means}
 
 
 def format_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

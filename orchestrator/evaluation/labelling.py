@@ -13,8 +13,8 @@ from typing import Protocol
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.record.record_tables import read_rows
+from mlbs_actors.stored_motion import StoredMotion
 from orchestrator.evaluation import sequences
-from orchestrator.evaluation.stored_flow import StoredFlow
 from orchestrator.storage.segments import archived_masks
 from orchestrator.working_size import labels_in_size, resized
 
@@ -68,7 +68,7 @@ class EngineLabelling:
     sequence : Sequence
     subtractor : Subtractor
         Fresh: no frame seen yet.
-    flow : StoredFlow or None
+    motion : StoredMotion or None
         Is told of every frame before the subtractor is.
     frames : int
         Label maps so far.
@@ -84,7 +84,7 @@ class EngineLabelling:
 
     sequence: sequences.Sequence
     subtractor: Subtractor
-    flow: StoredFlow | None = None
+    motion: StoredMotion | None = None
     frames: int = 0
     milliseconds: float = 0.0
     cpu_milliseconds: float = 0.0
@@ -92,10 +92,10 @@ class EngineLabelling:
     scores: dict[int, dict[int, float]] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[tuple[int, Array]]:
-        for index in range(len(self.sequence.stems)):
+        for index, stem in enumerate(self.sequence.stems):
             frame = self.sequence.frame(index)
-            if self.flow is not None:
-                self.flow.follow(index, frame)
+            if self.motion is not None:
+                self.motion.follow(index, stem, frame)
             yield from self._timed(self.subtractor.apply, frame)
         yield from self._timed(self.subtractor.flush)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from orchestrator.option_values import LEAST_SIDE
 
-__all__ = ["DATA_VARIABLE", "SCRIPT", "evaluation_parser"]
+__all__ = ["COMPARED_COLUMNS", "DATA_VARIABLE", "LATEX_COLUMNS", "SCRIPT", "evaluation_parser"]
 
 #: What starts the command in this folder.
 SCRIPT = "scripts/evaluate"
@@ -15,8 +15,11 @@ SCRIPT = "scripts/evaluate"
 #: Environment variable that names the default folder of the sequences.
 DATA_VARIABLE = "MLBS_DATA"
 
-#: The columns of a LaTeX table, unless others are asked for.
-_LATEX_COLUMNS = ("two_label_f", "j", "f", "j&f", "object_f", "track_j")
+#: The columns of each method side by side, and of a sweep, unless others are asked for.
+COMPARED_COLUMNS = ("j", "f", "track_j")
+
+#: The columns of a LaTeX table of one method, unless others are asked for.
+LATEX_COLUMNS = ("two_label_f", "j", "f", "j&f", "object_f", "track_j")
 
 _DESCRIPTION = """\
 Score label maps against truth.
@@ -24,12 +27,15 @@ Score label maps against truth.
   scripts/evaluate --run out --truth cars1=data/cars1/gt    the masks a run wrote in out/cars1/masks
   scripts/evaluate --run out --truth 'DAVIS/Annotations/480p/*'
                                                             those of its streams that have a folder's name
+  scripts/evaluate --data data --masks out theirs           anybody's masks, side by side: theirs/cars1/*.png
   scripts/evaluate --data data                              the engine, in process, on every sequence below
                                                             data: frames/ and gt/, or as DAVIS, YouTube-VOS,
                                                             BMS-26 and FBMS come
   scripts/evaluate --sequences 'synthetic:demo?frames=60'   the engine on a scene with exact truth
   scripts/evaluate --data data --paper                      the tables of the paper, with our figures
   scripts/evaluate --data data --ablate                     what each stage of the method gives
+  scripts/evaluate --data data --sweep layers.lookahead=0,4,8
+                                                            the same with other values, and the differences
   scripts/evaluate --data data --disturb                    how much accidents of parameters and input cost
   scripts/evaluate --data data --sizes 480,960              what the engine finds in smaller or larger
                                                             pictures, and what that costs
@@ -49,6 +55,7 @@ matter most:
   multi_f          the same, and a layer the truth does not know counts as a lost one too (the paper's text)
   multi_f_matlab   as the paper's table was made: the background takes part, surplus layers do not count
   first ten, after start, davis: of these frames only (davis: without the first and the last)
+  recall, decay    of DAVIS: share of the frames above 50, and what is lost from the first quarter to the last
   davis17          one label for each object over all frames, as in DAVIS 2017's unsupervised task
 """
 
@@ -64,6 +71,14 @@ def evaluation_parser(program: str = SCRIPT) -> argparse.ArgumentParser:
     what = parser.add_mutually_exclusive_group()
     what.add_argument(
         "--run", type=Path, metavar="OUT_DIR", help="score the masks of this finished run; needs --truth"
+    )
+    what.add_argument(
+        "--masks",
+        nargs="+",
+        metavar="DIR",
+        help="score label maps that are there, of any method: a folder each, or METHOD=DIR; in it are "
+        "SEQUENCE/FRAME.png, SEQUENCE/masks/FRAME.png as in a run, or .npy; indexed, grey, or in the colours "
+        "of DAVIS. Prints a table with the methods side by side, and their differences from the first",
     )
     what.add_argument(
         "--paper",
@@ -93,6 +108,13 @@ def evaluation_parser(program: str = SCRIPT) -> argparse.ArgumentParser:
         help="run the engine on the pictures as they are, then shrunk or enlarged to each of these longer "
         "sides; prints means of figures in the size of the truth, and the CPU time; --jobs 1 for times "
         "without contention",
+    )
+    what.add_argument(
+        "--sweep",
+        nargs="+",
+        metavar="SECTION.KEY=A,B",
+        help="run the engine as it is, then with each of these values, or each combination of several "
+        "parameters; prints means, and their differences from the first run with a 95 %% interval",
     )
     add(
         "--truth",
@@ -135,6 +157,13 @@ def evaluation_parser(program: str = SCRIPT) -> argparse.ArgumentParser:
         "backward/NAME/STEM.flo to the one before, or .npy",
     )
     add(
+        "--tracks",
+        type=Path,
+        metavar="FOLDER",
+        help="have trajectories follow stored points in place of the flow: NAME.npz with tracks (frames, "
+        "points, 2) and visible (frames, points)",
+    )
+    add(
         "--reliability",
         action="store_true",
         help="also print how well the score of a mask says its intersection over union with the truth",
@@ -148,13 +177,27 @@ def evaluation_parser(program: str = SCRIPT) -> argparse.ArgumentParser:
     )
     add("--json", type=Path, metavar="FILE", help="write all figures there, also by range of frames")
     add("--csv", type=Path, metavar="FILE", help="write a row for each frame with truth there")
+    add(
+        "--summary",
+        type=Path,
+        metavar="FILE",
+        help="write a CSV row for each sequence there, with all columns; in --masks and runs of several "
+        "variants for each of them",
+    )
     add("--latex", type=Path, metavar="FILE", help="write a table of the sequences there")
     add(
         "--columns",
         type=lambda text: text.split(","),
-        default=_LATEX_COLUMNS,
         metavar="NAME,...",
-        help=f"of the LaTeX table, by their headings here (default {','.join(_LATEX_COLUMNS)})",
+        help="of the LaTeX table, of --masks and of --sweep, by their headings here (default "
+        f"{','.join(LATEX_COLUMNS)}; of --masks and --sweep {','.join(COMPARED_COLUMNS)})",
+    )
+    add(
+        "--plots",
+        type=Path,
+        metavar="DIR",
+        help="write plots there, as PNG and PDF: j and f over the frames of each sequence, and precision and "
+        "recall of the masks by their objects' score; needs matplotlib",
     )
     add("--sheets", type=Path, metavar="DIR", help="write contact sheets there: labels, truth, difference")
     return parser

@@ -25,7 +25,7 @@ def reliability_table(masks: Sequence[ScoredMask]) -> str:
     Below are the rank correlation of the two (Spearman) and the mean distance of score and quality over the
     rows, weighted by their masks (the expected calibration error).
     """
-    score, iou = np.asarray(masks, np.float64).reshape(-1, 2).T
+    score, iou, _ = np.asarray(masks, np.float64).reshape(-1, 3).T
     row_of = np.minimum((score * _BINS).astype(int), _BINS - 1)
     rows, error = [], 0.0
     for row in range(_BINS):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import traceback
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,12 +16,12 @@ from mlbs_actors import MultilayerSubtractor
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import FrameError, MlbsError, SinkError
 from mlbs_actors.messages import Array
+from mlbs_actors.stored_motion import StoredMotion
 from mlbs_actors.warm_up import warm_coordinator, warm_segmenter
 from orchestrator.evaluation import datasets, sequences
 from orchestrator.evaluation.contact_sheet import SheetFrame, contact_sheet, extra_layer_sheet, spread_evenly
 from orchestrator.evaluation.labelling import EngineLabelling, ResizingSubtractor, Subtractor
 from orchestrator.evaluation.sequence_scorer import SequenceScore, SequenceScorer
-from orchestrator.evaluation.stored_flow import StoredFlow
 
 __all__ = [
     "EngineSetup",
@@ -36,10 +37,15 @@ SHEET_FRAMES = 8
 
 
 class ScoredMask(NamedTuple):
-    """A mask's score, and its intersection over union with a truth object, each in [0, 1]."""
+    """A mask with its score, its quality and its object's score, each in [0, 1].
+
+    ``iou`` is its intersection over union with the truth object that it fits best, ``object_score`` the mean
+    score of all masks of its label in the sequence.
+    """
 
     score: float
     iou: float
+    object_score: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +99,8 @@ class EngineSetup:
         The data root.
     config : Path or None
         YAML file with parameters.
-    flow : Path or None
-        Folder of stored flow; see :mod:`orchestrator.evaluation.stored_flow`.
+    flow, tracks : Path or None
+        Folders of stored flow and tracks; see :mod:`mlbs_actors.stored_motion`.
     sheets : Path or None
         Folder for contact sheets.
     """
@@ -102,6 +108,7 @@ class EngineSetup:
     root: Path | None = None
     config: Path | None = None
     flow: Path | None = None
+    tracks: Path | None = None
     sheets: Path | None = None
 
 
@@ -166,8 +173,12 @@ def scored_masks(score: SequenceScore, scores: Mapping[int, Mapping[int, float]]
     scores : mapping of int to mapping of int to float
         Frame index → label → score.
     """
+    of_label: defaultdict[int, list[float]] = defaultdict(list)
+    for of_frame in scores.values():
+        for label, one in of_frame.items():
+            of_label[label].append(one)
     return tuple(
-        ScoredMask(scores[frame.index][label], iou)
+        ScoredMask(scores[frame.index][label], iou, sum(of_label[label]) / len(of_label[label]))
         for frame in score.per_frame
         for label, iou in frame.ious.items()
         if label in scores.get(frame.index, ())
@@ -206,11 +217,11 @@ def engine_result(
         if change is not None:
             sequence = change(sequence)
         config = load_config(setup.config, list(overrides))
-        flow = StoredFlow(setup.flow, sequence) if setup.flow is not None else None
-        subtractor: Subtractor = MultilayerSubtractor(config, flow=flow)
+        motion = StoredMotion(sequence.name, setup.flow, setup.tracks)
+        subtractor: Subtractor = MultilayerSubtractor(config, flow=motion.flow, tracks=motion.tracks)
         if longer_side is not None:
             subtractor = ResizingSubtractor(subtractor, longer_side)
-        labelling = EngineLabelling(sequence, subtractor, flow)
+        labelling = EngineLabelling(sequence, subtractor, motion if motion.is_asked else None)
         result = score_sequence(sequence, labelling, setup.sheets)
     except MlbsError as error:
         return SequenceResult(name, error=str(error))

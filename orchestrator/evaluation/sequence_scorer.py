@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array, Region
+from orchestrator.evaluation.frame_statistics import frame_statistics
 from orchestrator.evaluation.metrics import (
     false_area,
     jaccard,
@@ -79,7 +80,8 @@ class RangeScore:
     ``precision``, ``recall``, ``two_label_f``, ``j``, ``f`` and ``false_area``, the share of the judged
     pixels that are labelled but background, are means over all of them, the others over those whose truth has
     objects: ``multi_precision``, ``multi_recall`` and ``multi_f`` as the paper's text
-    has them, the same with ``_matlab`` as the authors' program does. All in [0, 1].
+    has them, the same with ``_matlab`` as the authors' program does. ``j_recall``, ``j_decay`` and so on are
+    those of :mod:`orchestrator.evaluation.frame_statistics`. All in [0, 1], a decay in [−1, 1].
     """
 
     frames: int
@@ -87,7 +89,11 @@ class RangeScore:
     recall: float
     two_label_f: float
     j: float
+    j_recall: float
+    j_decay: float
     f: float
+    f_recall: float
+    f_decay: float
     false_area: float
     multi_precision: float
     multi_recall: float
@@ -202,13 +208,19 @@ def _score_range(overlaps: Sequence[FrameOverlap]) -> RangeScore:
     with_objects = [overlap for overlap in overlaps if len(overlap.objects)]
     multi = [multi_label(overlap) for overlap in with_objects]
     matlab = [multi_label_matlab(overlap) for overlap in with_objects]
+    j = frame_statistics([jaccard(overlap) for overlap in overlaps])
+    f = frame_statistics([overlap.boundary_f for overlap in overlaps])
     return RangeScore(
         frames=len(overlaps),
         precision=_mean(agreement.precision for agreement in binary),
         recall=_mean(agreement.recall for agreement in binary),
         two_label_f=_mean(agreement.f for agreement in binary),
-        j=_mean(jaccard(overlap) for overlap in overlaps),
-        f=_mean(overlap.boundary_f for overlap in overlaps),
+        j=j.mean,
+        j_recall=j.recall,
+        j_decay=j.decay,
+        f=f.mean,
+        f_recall=f.recall,
+        f_decay=f.decay,
         false_area=_mean(false_area(overlap) for overlap in overlaps),
         multi_precision=_mean(agreement.precision for agreement in multi),
         multi_recall=_mean(agreement.recall for agreement in multi),

@@ -18,10 +18,14 @@ from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
 from mlbs_actors.scenes.synthetic import SyntheticScene
 from orchestrator.evaluation.overlap import NOT_JUDGED
+from orchestrator.sinks.label_image import davis_palette, voc_colours
 from orchestrator.sources.images import decode_image
 from orchestrator.sources.presence import images_of
 
 __all__ = ["FileSequence", "FolderSequence", "SceneSequence", "Sequence", "SequenceChange", "read_label_map"]
+
+#: One number for each colour.
+_RGB_CODE = np.array([1 << 16, 1 << 8, 1], np.int32)
 
 
 class Sequence(Protocol):
@@ -178,6 +182,8 @@ class SceneSequence:
 def read_label_map(path: Path | BinaryIO) -> Array:
     """Read a label map: palette indices, or 8- or 16-bit grey values, also written as equal colours.
 
+    A colour picture is read as well if all its colours are of the palette of DAVIS.
+
     Returns
     -------
     (H, W) int32
@@ -192,6 +198,8 @@ def read_label_map(path: Path | BinaryIO) -> Array:
             pixels = np.asarray(image)
             if image.mode in ("RGB", "RGBA") and (pixels[..., :3] == pixels[..., :1]).all():
                 return pixels[..., 0].astype(np.int32)  # such as bear/00077.png of DAVIS 2016
+            if image.mode in ("RGB", "RGBA") and (labels := _labels_of_colours(pixels)) is not None:
+                return labels
             if image.mode not in ("P", "L", "1", "I;16", "I"):
                 raise SourceError(
                     f"{path} is a colour picture ({image.mode}); a label map is an indexed or grey PNG "
@@ -200,6 +208,19 @@ def read_label_map(path: Path | BinaryIO) -> Array:
             return pixels.astype(np.int32)
     except OSError as error:
         raise SourceError(f"{path} cannot be read as a label map: {error}.") from error
+
+
+def _labels_of_colours(pixels: Array) -> Array | None:
+    """Look the colours of DAVIS's palette up, (H, W) int32; None if there are others."""
+    codes = pixels[..., :3].astype(np.int32) @ _RGB_CODE
+    labels = np.full(codes.shape, -1, np.int32)
+    # That of PASCAL VOC differs by 192 for 191, and from label 22 on.
+    for palette in (voc_colours(), davis_palette()):
+        known = palette.astype(np.int32) @ _RGB_CODE
+        order = np.argsort(known, kind="stable")
+        place = np.minimum(np.searchsorted(known[order], codes), len(known) - 1)
+        labels = np.where(known[order][place] == codes, order[place], labels)
+    return labels.astype(np.int32) if (labels >= 0).all() else None
 
 
 def _by_stem(folder: Path) -> dict[str, Path]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from mlbs_actors.messages import Array
+from orchestrator.evaluation.frame_statistics import FrameStatistics, frame_statistics
 from orchestrator.evaluation.metrics import match_objects
 from orchestrator.evaluation.overlap import NOT_JUDGED, FrameOverlap, ious_of
 
@@ -84,21 +85,28 @@ def track_j(overlaps: Iterable[FrameOverlap]) -> float:
     return float(means[rows, columns].sum() / len(object_frames))
 
 
-class TrackScore(NamedTuple):
-    """One truth object and the label matched to it: mean J and F of all frames with truth, each in [0, 1].
+@dataclass(frozen=True, slots=True)
+class TrackScore:
+    """One truth object and the label matched to it.
 
-    ``label`` is None if more objects than labels are there.
+    Attributes
+    ----------
+    truth_id : int
+    label : int or None
+        None if more objects than labels are there.
+    j, f : FrameStatistics
+        Over all frames with truth.
     """
 
     truth_id: int
     label: int | None
-    j: float
-    f: float
+    j: FrameStatistics
+    f: FrameStatistics
 
     @property
     def j_and_f(self) -> float:
-        """Mean of ``j`` and ``f``."""
-        return (self.j + self.f) / 2
+        """Mean of J and F."""
+        return (self.j.mean + self.f.mean) / 2
 
 
 def davis_tracks(overlaps: Sequence[FrameOverlap]) -> list[TrackScore]:
@@ -122,19 +130,26 @@ def davis_tracks(overlaps: Sequence[FrameOverlap]) -> list[TrackScore]:
         found = np.searchsorted(labels, overlap.labels).astype(np.intp)
         neither = np.ones((len(objects), columns))
         neither[rows], neither[:, found] = 0.0, 0.0
-        for total, pairs in ((total_j, ious_of(overlap)), (total_f, overlap.pair_boundary_f)):
+        for total, measured in ((total_j, ious_of(overlap)), (total_f, overlap.pair_boundary_f)):
             total += neither
-            total[np.ix_(rows, found)] += pairs
+            total[np.ix_(rows, found)] += measured
     chosen = linear_sum_assignment(total_j + total_f, maximize=True)
-    return [
-        TrackScore(
-            objects[row],
-            labels[column] if column < len(labels) else None,
-            float(total_j[row, column] / len(overlaps)),
-            float(total_f[row, column] / len(overlaps)),
-        )
+    pairs = [
+        (objects[row], labels[column] if column < len(labels) else None)
         for row, column in zip(*(one.tolist() for one in chosen), strict=True)
     ]
+    return [_track_score(overlaps, *pair) for pair in pairs]
+
+
+def _track_score(overlaps: Sequence[FrameOverlap], truth_id: int, label: int | None) -> TrackScore:
+    j, f = [], []
+    for overlap in overlaps:
+        row, column = np.flatnonzero(overlap.objects == truth_id), np.flatnonzero(overlap.labels == label)
+        pair = np.ix_(row, column)
+        neither = float(not row.size and not column.size)
+        j.append(float(ious_of(overlap)[pair].sum()) + neither)
+        f.append(float(overlap.pair_boundary_f[pair].sum()) + neither)
+    return TrackScore(truth_id, label, frame_statistics(j), frame_statistics(f))
 
 
 def ids_on(overlaps: Iterable[FrameOverlap]) -> float:

@@ -154,7 +154,7 @@ def _worth(source: Source, there: Array, here: Array, nearness: float) -> Array:
     """Return what a source shows of places (n, 2) of a frame so many frames away, 0 … 1 each."""
     (height, width), sketch = source.clear.shape, source.sketch.gray.shape
     moved = np.linalg.norm(there - here, axis=1) / sketch[1]
-    scale = np.array([width / sketch[1], height / sketch[0]])
+    scale: Array = np.array([width / sketch[1], height / sketch[0]])
     at = np.round((there + 0.5) * scale - 0.5).astype(int)
     inside = (at >= 0).all(axis=1) & (at < (width, height)).all(axis=1)
     clear = np.zeros(len(there))

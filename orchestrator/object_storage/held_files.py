@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.errors import SinkError
-from orchestrator.storage.commit_log import Commit, between_commits, permanent, read_commits
+from mlbs_actors.record.commits import Commit, permanent, read_commits
+from orchestrator.storage.commit_log import between_commits
 from orchestrator.storage.segments import segment_folders
 from orchestrator.storage.snapshot_folder import SNAPSHOTS
 

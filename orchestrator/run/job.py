@@ -12,6 +12,7 @@ from typing import Any
 from mlbs_actors.actors.stream.protocol import StreamSink, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.stored_motion import StoredMotion
 from orchestrator.clips.packet_ring import PACKETS, PacketRing
 from orchestrator.command_line import command_again
 from orchestrator.credentials import mask
@@ -330,4 +331,10 @@ class Job:
             live=stream.source.live,
             path=stream.source.path,
             ignored=None if asked.ignore is None else asked.ignore.mask,
+            motion=self._motion(stream.name),
         )
+
+    def _motion(self, name: str) -> StoredMotion | None:
+        """Return the stored motion of a stream, if the command names any."""
+        motion = StoredMotion(name, self._arguments.flow, self._arguments.tracks)
+        return motion if motion.is_asked else None

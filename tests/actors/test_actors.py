@@ -49,6 +49,7 @@ from mlbs_actors.errors import ActorLostError, LayerError, SinkError, SourceErro
 from mlbs_actors.messages import Array
 from mlbs_actors.scenes.synthetic import scene
 from mlbs_actors.source import SourceFrame, SourceSilence, SourceStatus
+from mlbs_actors.stored_motion import StoredMotion
 
 # ---- the same bytes
 
@@ -188,7 +189,9 @@ def test_drops_and_gaps_are_rows_and_counted_and_a_silent_camera_is_told_at_once
 class _OverwritingParts(FakeParts):
     """Whoever reads a message after its memory was given back reads something else."""
 
-    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
+    def coordinator(
+        self, config: Config, ignored: Array | None = None, motion: StoredMotion | None = None
+    ) -> CoordinatorPart:
         release = SlotPool.release
 
         def overwritten(self: SlotPool, slots: Sequence[Slot]) -> None:
@@ -197,7 +200,7 @@ class _OverwritingParts(FakeParts):
             release(self, slots)
 
         SlotPool.release = overwritten  # type: ignore[method-assign]  # in the coordinator's process
-        return super().coordinator(config, ignored)
+        return super().coordinator(config, ignored, motion)
 
 
 def test_messages_are_read_before_their_memory_is_given_back_also_by_a_stream_that_waits_for_its_camera(
@@ -218,7 +221,9 @@ def test_messages_are_read_before_their_memory_is_given_back_also_by_a_stream_th
 class _RecordingParts(FakeParts):
     """Each acquired slot is a line in a file."""
 
-    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
+    def coordinator(
+        self, config: Config, ignored: Array | None = None, motion: StoredMotion | None = None
+    ) -> CoordinatorPart:
         acquire, lines = SlotPool.acquire, self.folder / "acquired"
 
         def noted(self: SlotPool, kind: SlotKind) -> Slot:
@@ -228,7 +233,7 @@ class _RecordingParts(FakeParts):
             return slot
 
         SlotPool.acquire = noted  # type: ignore[method-assign]  # in the coordinator's process
-        return super().coordinator(config, ignored)
+        return super().coordinator(config, ignored, motion)
 
 
 def test_what_only_segmenter_and_layers_read_stays_in_few_slots_however_slow_the_sink_is(

@@ -42,6 +42,7 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 from mlbs_actors.source import FrameReader, GapStatus, SourceFrame, SourceSilence, SourceStatus
+from mlbs_actors.stored_motion import StoredMotion
 
 #: Marks of a test, or of a case, that starts or uses the session of Ray: all are left to one process.
 ON_RAY = (pytest.mark.ray, pytest.mark.xdist_group("ray"))
@@ -297,7 +298,9 @@ class FakeParts:
     hang: bool = False
     hanging_starts: range = range(0)
 
-    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
+    def coordinator(
+        self, config: Config, ignored: Array | None = None, motion: StoredMotion | None = None
+    ) -> CoordinatorPart:
         self._note()
         return _Coordinator(config, self._death())
 

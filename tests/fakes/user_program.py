@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 import orchestrator
 from mlbs_actors import (
+    Appearance,
     Boxes,
     Config,
     ConfigError,
@@ -28,14 +29,15 @@ from mlbs_actors import (
     SinkError,
     SolverError,
     SourceError,
+    StoredMotion,
     compile_kernels,
     load_config,
     pictures,
     record,
     scenes,
 )
-from orchestrator import Event, Minimum, Rule, Zone, Zones
-from orchestrator.evaluation import StoredFlow, open_sequence
+from orchestrator import Event, Minimum, Rule, Run, StreamResult, Zone, Zones
+from orchestrator.evaluation import open_sequence
 
 Picture = npt.NDArray[np.uint8]
 
@@ -168,13 +170,46 @@ def frames_of(folder: Path) -> Iterator[record.RecordedFrame]:
     yield from record.recorded_stream(folder)
 
 
+class Plain:
+    """An appearance that knows nothing."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+
+    def update(self, colours: Picture, won: npt.NDArray[np.bool_], region: Region) -> None:
+        """Learn nothing."""
+
+    def log_density(
+        self, colours: Picture, region: Region, motion: npt.NDArray[np.float32]
+    ) -> npt.NDArray[np.float32]:
+        """Know nothing."""
+        return np.full(colours.shape[:2], np.nan, np.float32)
+
+
+def by_own_appearance(frames: Iterable[Picture]) -> list[Result]:
+    """Results with an appearance model of one's own."""
+    model: type[Appearance] = Plain
+    return list(MultilayerSubtractor(appearance=model).segment(frames))
+
+
+def streamed(sources: dict[str, str]) -> dict[str, int]:
+    """The number of results of each stream."""
+    counted: dict[str, int] = {}
+    run: Run = orchestrator.start(sources)
+    with run:
+        one: StreamResult
+        for one in run:
+            counted[one.stream] = counted.get(one.stream, 0) + 1
+    return counted
+
+
 def by_stored_flow(name: str, root: Path, flow: Path) -> list[Result]:
     """Results of a data set's sequence, by flow that is stored."""
     sequence = open_sequence(name, root)
-    stored = StoredFlow(flow, sequence)
-    subtractor, results = MultilayerSubtractor(flow=stored), list[Result]()
-    for index in range(len(sequence.stems)):
+    stored = StoredMotion(name, flow=flow)
+    subtractor, results = MultilayerSubtractor(flow=stored.flow), list[Result]()
+    for index, stem in enumerate(sequence.stems):
         frame = sequence.frame(index)
-        stored.follow(index, frame)
+        stored.follow(index, stem, frame)
         results += subtractor.apply(frame)
     return results + subtractor.flush()

@@ -212,7 +212,8 @@ def test_a_callers_flow_is_asked_for_both_directions_and_averaged_over_cells(sid
         (np.zeros((96, 128), np.float32), "must return the motion"),
         (np.zeros((96, 128, 2), int), "must return the motion"),
         (np.full((96, 128, 2), np.nan), "NaN"),
-        (None, "must return the motion"),
+        (None, "returned None; it must return the motion"),
+        ([[1.0], []], "returned a list of 2; it must return the motion"),
     ],
 )
 def test_what_is_no_flow_is_refused_in_a_sentence(returned: Any, complaint: str) -> None:

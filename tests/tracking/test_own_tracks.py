@@ -81,10 +81,10 @@ def test_a_subtractor_with_tracks_of_its_own_can_be_pickled(made: SyntheticScene
     [
         (lambda points: (points[:-1], np.ones(len(points), bool)), r"returned places \(\d+, 2\) float32"),
         (lambda points: (points, np.ones(len(points), np.uint8)), r"returned a mask \(\d+,\) uint8"),
-        (lambda points: points, r"returned one array \(\d+, 2\) float32; it must return two"),
-        (lambda points: None, "returned a NoneType; it must return two"),
-        (lambda points: (points, points, points), "returned a tuple of 3; it must return two"),
-        (lambda points: ([[0.0, 1.0], [0.0]], [True]), "returned what is no array"),
+        (lambda points: points, r"returned \(\d+, 2\) float32; it must return two arrays"),
+        (lambda points: None, "returned None; it must return two arrays"),
+        (lambda points: (points,), "returned a tuple of 1; it must return two arrays"),
+        (lambda points: (points, [[True], []]), "returned a tuple of 2; it must return two arrays"),
         (lambda points: (points * np.nan, np.ones(len(points), bool)), "NaN or infinite places"),
     ],
 )  # fmt: skip

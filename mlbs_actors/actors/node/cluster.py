@@ -195,7 +195,6 @@ class Cluster:
         for member in self._members.values():
             self._drop_next(member)
             member.node.close()
-        self._demand(0)
 
     def _look(self, patience: float) -> None:
         """Update the list of nodes; wait up to this time for the answers of new ones, s."""

@@ -80,7 +80,9 @@ class CoordinatorActor:
         relax_thread_timers()
         self._spec = spec
         self._links = links
-        self._coordinator = parts.coordinator(spec.config, spec.ignored)
+        if spec.motion is not None:
+            spec.motion.followed = ()  # until a snapshot says otherwise
+        self._coordinator = parts.coordinator(spec.config, spec.ignored, spec.motion)
         self._slots, self._memory = SlotPool(), SharedMemory()
         self._source = (
             ReadAhead(links.reader, spec.max_frames, self._slots, self._memory)
@@ -191,7 +193,7 @@ class CoordinatorActor:
             if frame.image is None:
                 self._write_gaps()
             else:
-                self._track(frame.image, frame.concealed)
+                self._track(frame, frame.image)
             if self._snapshots.are_due():
                 self._save()
         self._record.send()
@@ -277,12 +279,14 @@ class CoordinatorActor:
                 raise reader_lost(self._spec.name, self._account.read) from None
             raise source_failure(error, self._spec.source, self._account.read) from None
 
-    def _track(self, image: Array, concealed: bool) -> None:
+    def _track(self, frame: SourceFrame, image: Array) -> None:
         """Process the next picture, and start the work that it makes possible."""
+        if self._spec.motion is not None:
+            self._spec.motion.follow(frame.index, frame.name, image)
         index = self._account.counts["ok"] - 1  # the engine counts the frames it is given
         wanted = self._coordinator.feedback_index(index)
         feedback = None if wanted is None else cache(partial(self._labelled, wanted))
-        ready = self._coordinator.step(index, image, feedback, concealed)
+        ready = self._coordinator.step(index, image, feedback, frame.concealed)
         if feedback is not None:
             feedback()  # a frame that does not need it keeps the layers' pace, too
         for evidence in ready:

@@ -26,6 +26,7 @@ from typing import Protocol
 from mlbs_actors.config import Config
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from mlbs_actors.source import FrameReader, GapStatus, SourceFrame, SourceSilence
+from mlbs_actors.stored_motion import StoredMotion
 
 __all__ = [
     "Opening",
@@ -161,6 +162,8 @@ class StreamSpec:
         The file or folder that ``open_reader`` reads; None if it can be read from every machine.
     ignored : (h, w) bool, optional
         Mask of what is fixed in the picture, not in the scene; scaled to the frames.
+    motion : StoredMotion, optional
+        Of the frames by their names; takes the place of what the engine would compute.
     """
 
     name: str
@@ -177,6 +180,7 @@ class StreamSpec:
     snapshot_seconds: float = 3.0
     path: Path | None = None
     ignored: Array | None = None
+    motion: StoredMotion | None = None
 
 
 @dataclass(frozen=True, slots=True)

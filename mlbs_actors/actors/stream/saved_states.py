@@ -15,6 +15,7 @@ from threading import Thread
 from mlbs_actors.messages import LayerKind, Segmentation
 from mlbs_actors.source import SourceFrame, SourcePosition, SourceStatus
 from mlbs_actors.state_file import CapturedState, capture
+from mlbs_actors.stored_motion import FollowedFrame
 
 __all__ = [
     "CONDUCTOR_FILE",
@@ -71,6 +72,8 @@ class ConductorState:
     layers : tuple of SavedLayer
     config : str
         All parameters, as JSON.
+    followed : tuple of FollowedFrame
+        The newest frames, if their motion is stored.
     """
 
     counts: Mapping[SourceStatus, int]
@@ -78,6 +81,7 @@ class ConductorState:
     waiting: tuple[SourceFrame, ...]
     layers: tuple[SavedLayer, ...]
     config: str
+    followed: tuple[FollowedFrame, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,6 +85,8 @@ class StreamSnapshots:
         self._account.restore(state.counts, state.position)
         self._saved = state.position.rows
         self._restored = state.config
+        if self._spec.motion is not None:
+            self._spec.motion.followed = state.followed
         return state.waiting, self._labelling.restore(folder, state.layers)
 
     @property
@@ -126,7 +128,8 @@ class StreamSnapshots:
         self._labelling.save(folder)
         layers = self._layers.state()
         config = self._spec.config.model_dump_json()
-        own = ConductorState(self._account.counts, self._account.position, waiting, layers, config)
+        followed = () if self._spec.motion is None else self._spec.motion.followed
+        own = ConductorState(self._account.counts, self._account.position, waiting, layers, config, followed)
         self._writer.write({CONDUCTOR_FILE: own, COORDINATOR_FILE: self._part.state}, folder)
         shared = (CONDUCTOR_FILE, COORDINATOR_FILE, SEGMENTER_FILE, PUBLISHED_FILE)
         parts = (*shared, *(layer_file(one.layer) for one in layers))

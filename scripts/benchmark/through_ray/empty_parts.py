@@ -25,6 +25,7 @@ from mlbs_actors.messages import (
 )
 from mlbs_actors.segmentation.segmenter import Segmenter
 from mlbs_actors.source import GapStatus, SourceFrame
+from mlbs_actors.stored_motion import StoredMotion
 
 __all__ = ["EmptyParts", "EmptyReader", "EmptySink", "FrameMessages", "last_messages"]
 
@@ -128,7 +129,9 @@ class EmptyParts:
 
     messages: FrameMessages
 
-    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
+    def coordinator(
+        self, config: Config, ignored: Array | None = None, motion: StoredMotion | None = None
+    ) -> CoordinatorPart:
         """Make a coordinator that returns the same evidence for every frame."""
         return _EmptyCoordinator(self.messages.evidence)
 

@@ -24,6 +24,7 @@ from mlbs_actors.messages import (
     Segmentation,
 )
 from mlbs_actors.source import GapStatus, SourceFrame
+from mlbs_actors.stored_motion import StoredMotion
 
 __all__ = ["SPARE", "RecordingParts", "RecordingSink"]
 
@@ -42,10 +43,12 @@ class RecordingParts:
     folder: Path
     standby: Path
 
-    def coordinator(self, config: Config, ignored: Array | None = None) -> CoordinatorPart:
+    def coordinator(
+        self, config: Config, ignored: Array | None = None, motion: StoredMotion | None = None
+    ) -> CoordinatorPart:
         """See :class:`PartFactory`."""
         self._leave_standby()
-        return self.parts.coordinator(config, ignored)
+        return self.parts.coordinator(config, ignored, motion)
 
     def layer(self, config: Config, layer: int, kind: LayerKind) -> LayerPart:
         """See :class:`PartFactory`."""

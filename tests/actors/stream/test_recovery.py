@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pickle
 import threading
 import zlib
@@ -10,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.dataset as ds
@@ -29,13 +31,16 @@ from PIL import Image
 
 from mlbs_actors.actors.node.pool import PoolPolicy
 from mlbs_actors.actors.node.processes import end
+from mlbs_actors.actors.parts import CoordinatorPart
 from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.actors.stream.protocol import Snapshot, StreamSpec
+from mlbs_actors.config import Config
 from mlbs_actors.errors import SinkError
-from mlbs_actors.messages import Array, LayerAppearance, LayerSummary, Region, Segmentation
+from mlbs_actors.messages import Array, FrameEvidence, LayerAppearance, LayerSummary, Region, Segmentation
 from mlbs_actors.record.commits import Commit, read_commits
 from mlbs_actors.source import SourceFrame
 from mlbs_actors.state_file import capture
+from mlbs_actors.stored_motion import StoredMotion
 from orchestrator.interruption import Interruption
 from orchestrator.run import driver as driver_module
 from orchestrator.run.admission import by_count
@@ -492,6 +497,44 @@ def test_layers_that_have_no_process_yet_are_in_the_snapshots_too(parts: FakePar
     assert read_commits(tmp_path / "crowded")[1].snapshot is not None
     assert node.census().busy == 0
     node.close()
+
+
+@dataclass(frozen=True)
+class FollowingParts(FakeParts):
+    """Notes at each frame which frames' stored motion could be asked for."""
+
+    def coordinator(
+        self, config: Config, ignored: Array | None = None, motion: StoredMotion | None = None
+    ) -> CoordinatorPart:
+        assert motion is not None
+        part = super().coordinator(config, ignored, motion)
+        step = part.step
+
+        def noted(frame_index: int, *given: Any) -> list[FrameEvidence]:
+            stems = " ".join(one.stem for one in motion.followed)
+            with (self.folder / "followed").open("a") as lines:
+                lines.write(f"{frame_index}: {stems}\n")
+            return step(frame_index, *given)
+
+        part.step = noted  # type: ignore[method-assign, assignment]
+        return part
+
+
+@pytest.mark.usefixtures("host")
+def test_a_stream_with_stored_motion_goes_on_with_the_frames_that_it_followed_before(
+    parts: FakeParts, tmp_path: Path
+) -> None:
+    for way in ("forward", "backward"):
+        (tmp_path / "flow" / way / "bad").mkdir(parents=True)
+    with started(FollowingParts(parts.folder, deaths=1)) as node:
+        bad = spec("bad", FakeReader([*fatal(44, 37, "coordinator")], tmp_path / "r"), tmp_path)
+        states = drive(node, replace(bad, motion=StoredMotion("bad", tmp_path / "flow")))
+    assert (states["bad"].committed, states["bad"].returns) == (44, 1)
+    noted = [line.partition(": ") for line in (parts.folder / "followed").read_text().splitlines()]
+    indices = [int(index) for index, _, _ in noted]
+    assert any(later <= earlier for earlier, later in itertools.pairwise(indices))  # it went back
+    for index, _, stems in noted:
+        assert stems.split() == [f"{one:05d}" for one in range(int(index) + 1)]
 
 
 @pytest.mark.usefixtures("host")

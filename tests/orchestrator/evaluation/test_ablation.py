@@ -115,7 +115,7 @@ def test_the_table_has_a_row_for_each_stage_and_part_with_means_and_sequences(
     monkeypatch.setattr(
         scoring,
         "MultilayerSubtractor",
-        lambda config, flow: BrightSubtractor(blind=config.posterior.appearance == 0),
+        lambda config, flow, tracks: BrightSubtractor(blind=config.posterior.appearance == 0),
     )
     figures = tmp_path / "figures.json"
     command = ["--ablate", "--data", f"{tmp_path}/data", "--jobs", "1", "--json", str(figures)]
@@ -145,7 +145,7 @@ def test_a_row_that_lost_a_sequence_has_no_mean(
         write_bright_sequence(tmp_path / "data" / name)
     made: list[Config] = []
 
-    def engine(config: Config, flow: object) -> BrightSubtractor:
+    def engine(config: Config, flow: object, tracks: object) -> BrightSubtractor:
         made.append(config)
         if len(made) == 1:
             raise ZeroDivisionError("planted")

@@ -280,7 +280,7 @@ def test_the_table_names_the_worst_of_the_disturbed_runs(
     monkeypatch.setattr(
         scoring,
         "MultilayerSubtractor",
-        lambda config, flow: BrightSubtractor(blind=config.affinity.radius_px > wide),
+        lambda config, flow, tracks: BrightSubtractor(blind=config.affinity.radius_px > wide),
     )
     figures = tmp_path / "figures.json"
     command = ["--disturb", "--data", f"{tmp_path}/data", "--jobs", "1", "--json", str(figures)]

@@ -193,7 +193,7 @@ def test_the_command_runs_the_engine_and_prints_its_time(
     made = scene("crossing", frames=8, width=96, height=72)
     lookaheads = []
 
-    def engine(config: Config, flow: object) -> TruthfulSubtractor:
+    def engine(config: Config, flow: object, tracks: object) -> TruthfulSubtractor:
         lookaheads.append(config.layers.lookahead)
         return TruthfulSubtractor(made)
 
@@ -215,7 +215,7 @@ def test_the_command_runs_the_engine_and_prints_its_time(
 def test_parameters_are_given_as_to_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     configs = []
 
-    def engine(config: Config, flow: object) -> TruthfulSubtractor:
+    def engine(config: Config, flow: object, tracks: object) -> TruthfulSubtractor:
         configs.append(config)
         return TruthfulSubtractor(scene("crossing", frames=8, width=96, height=72))
 
@@ -233,7 +233,7 @@ def test_sequences_are_chosen_by_globs(
 ) -> None:
     root = sequence_folder.parents[1]
     shutil.copytree(sequence_folder, root / "other" / "clip")
-    monkeypatch.setattr(scoring, "MultilayerSubtractor", lambda config, flow: BrightSubtractor())
+    monkeypatch.setattr(scoring, "MultilayerSubtractor", lambda config, flow, tracks: BrightSubtractor())
     assert main(["--data", str(root), "--sequences", "oth*", "--jobs", "1"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[:3] if line] == [
         "sequence",
@@ -250,7 +250,7 @@ def test_an_engine_that_fails_on_one_sequence_leaves_the_others_their_figures(
     made = scene("crossing", frames=8, width=96, height=72)
     engines = iter([TruthfulSubtractor(made)])
 
-    def engine(config: object, flow: object) -> TruthfulSubtractor:
+    def engine(config: object, flow: object, tracks: object) -> TruthfulSubtractor:
         for ready in engines:
             return ready
         raise ZeroDivisionError("planted")

@@ -10,6 +10,7 @@ import pytest
 
 from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import Array, Region
+from orchestrator.evaluation.frame_statistics import frame_statistics
 from orchestrator.evaluation.metrics import (
     false_area,
     jaccard,
@@ -424,28 +425,39 @@ def box_frames(truths: list[dict[int, int]], labels: list[dict[int, int]]) -> li
     ]
 
 
+def means_of_tracks(frames: list[FrameOverlap]) -> list[tuple[int, int | None, float, float]]:
+    return [(one.truth_id, one.label, one.j.mean, one.f.mean) for one in davis_tracks(frames)]
+
+
 def test_davis_tracks_match_one_label_to_each_object_over_all_frames() -> None:
     # Label 6 is on object 1 in one frame, label 5 in two; label 6 is free for object 2, which it is never on.
     frames = box_frames([{1: 10, 2: 100}] * 3, [{5: 10}, {5: 10}, {6: 10}])
-    assert davis_tracks(frames) == [(1, 5, pytest.approx(2 / 3), pytest.approx(2 / 3)), (2, 6, 0, 0)]
+    assert means_of_tracks(frames) == [(1, 5, pytest.approx(2 / 3), pytest.approx(2 / 3)), (2, 6, 0, 0)]
 
 
 def test_davis_tracks_count_one_for_a_frame_with_neither_and_zero_with_only_one() -> None:
     frames = box_frames([{1: 10}, {}, {}, {1: 10}], [{5: 10}, {}, {5: 60}, {}])
-    assert davis_tracks(frames) == [(1, 5, 0.5, 0.5)]
+    assert means_of_tracks(frames) == [(1, 5, 0.5, 0.5)]
 
 
 def test_davis_tracks_match_an_object_without_a_label_to_nothing() -> None:
     frames = box_frames([{1: 10, 2: 100}, {1: 10}], [{5: 10}, {5: 10}])
-    assert davis_tracks(frames) == [(1, 5, 1, 1), (2, None, 0.5, 0.5)]
+    assert means_of_tracks(frames) == [(1, 5, 1, 1), (2, None, 0.5, 0.5)]
     assert davis_tracks(frames)[1].j_and_f == 0.5
+
+
+def test_davis_tracks_have_the_recall_and_decay_of_each_frame_they_count() -> None:
+    # Lost in the second half, in which a frame with neither counts as found.
+    frames = box_frames([{1: 10}] * 7 + [{}], [{5: 10}] * 4 + [{}] * 4)
+    (track,) = davis_tracks(frames)
+    assert track.j == frame_statistics([1, 1, 1, 1, 0, 0, 0, 1]) == track.f
 
 
 def test_davis_tracks_choose_by_the_mean_of_both_measures() -> None:
     # Label 5 has the larger J, 6 against 4 of the object's 10 px, label 6 by far the larger F.
     counts = np.array([[100, 0, 0], [0, 6, 4]])
     frame = FrameOverlap(0, np.array([1]), np.array([5, 6]), counts, 1.0, np.array([[0.1, 0.9]]))
-    assert davis_tracks([frame]) == [(1, 6, 0.4, 0.9)]
+    assert means_of_tracks([frame]) == [(1, 6, 0.4, 0.9)]
 
 
 def test_the_protocol_of_davis_leaves_the_first_and_last_frame_out() -> None:

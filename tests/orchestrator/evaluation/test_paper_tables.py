@@ -234,7 +234,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two of the paper's sequences and one that is not; the engine is one that sees at once."""
     for name in ("mlbs/cars1", "mlbs/cars4", "davis/dog"):
         write_bright_sequence(tmp_path / "data" / name)
-    monkeypatch.setattr(scoring, "MultilayerSubtractor", lambda config, flow: BrightSubtractor())
+    monkeypatch.setattr(scoring, "MultilayerSubtractor", lambda config, flow, tracks: BrightSubtractor())
     monkeypatch.setattr(command, "warm_engine", lambda: None)
     return tmp_path / "data"
 
@@ -263,7 +263,7 @@ def test_its_parameters_and_sequences_are_those_of_the_ordinary_evaluation(
 ) -> None:
     configs: list[Config] = []
 
-    def engine(config: Config, flow: object) -> BrightSubtractor:
+    def engine(config: Config, flow: object, tracks: object) -> BrightSubtractor:
         configs.append(config)
         return BrightSubtractor(blind=True)
 
@@ -279,7 +279,7 @@ def test_its_parameters_and_sequences_are_those_of_the_ordinary_evaluation(
 def test_kernels_are_loaded_before_anything_is_timed(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     order: list[str] = []
 
-    def engine(config: Config, flow: object) -> BrightSubtractor:
+    def engine(config: Config, flow: object, tracks: object) -> BrightSubtractor:
         order.append("engine")
         return BrightSubtractor()
 

@@ -23,11 +23,15 @@ def test_each_mask_has_the_quality_of_the_object_that_it_fits_best() -> None:
     scorer.add(1, np.array([[7, 7, 7, 0, 0, 0]]), None)
     scorer.add(2, np.array([[7, 7, 7, 0, 0, 0]]), truth)
     scores = {0: {7: 0.4, 8: 0.1}, 1: {7: 0.9}, 2: {7: 0.8}}
-    assert scored_masks(scorer.score(), scores) == ((0.4, 0.5), (0.1, 0.0), (0.8, 1.0))
+    masks = scored_masks(scorer.score(), scores)
+    assert [(one.score, one.iou) for one in masks] == [(0.4, 0.5), (0.1, 0.0), (0.8, 1.0)]
+    # An object's score is the mean of those of its masks, in frames without truth as well.
+    assert [one.object_score for one in masks] == pytest.approx([0.7, 0.1, 0.7])
 
 
 def test_the_table_has_a_row_a_tenth_and_the_distance_of_score_and_quality() -> None:
-    masks = [ScoredMask(0.95, 0.9), ScoredMask(0.93, 0.8), ScoredMask(1.0, 1.0), ScoredMask(0.2, 0.3)]
+    pairs = [(0.95, 0.9), (0.93, 0.8), (1.0, 1.0), (0.2, 0.3)]
+    masks = [ScoredMask(score, iou, object_score=0.5) for score, iou in pairs]
     heading, *rows, last = reliability_table(masks).splitlines()
     assert [row.split()[3:] for row in rows] == [["1", "0.20", "0.30"], ["3", "0.96", "0.90"]]
     assert last == "rank correlation 1.00, calibration error 0.070"

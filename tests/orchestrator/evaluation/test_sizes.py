@@ -30,7 +30,7 @@ def test_each_size_is_a_row_scored_in_the_size_of_the_truth(
 ) -> None:
     write_bright_sequence(tmp_path / "data" / "clip")  # 24×16 px
     SizeRecorder.shapes = []
-    monkeypatch.setattr(scoring, "MultilayerSubtractor", lambda config, flow: SizeRecorder())
+    monkeypatch.setattr(scoring, "MultilayerSubtractor", lambda config, flow, tracks: SizeRecorder())
     monkeypatch.setattr(command, "warm_engine", lambda: None)
     figures = tmp_path / "figures.json"
     arguments = ["--sizes", "96,72", "--data", f"{tmp_path}/data", "--jobs", "1", "--json", str(figures)]

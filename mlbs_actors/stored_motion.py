@@ -1,0 +1,245 @@
+"""Motion that another program has computed and stored, for the engine to use in place of its own.
+
+A folder of flow holds ``forward/NAME/STEM.flo``, the displacement of each pixel of the frame STEM to the next
+frame, and ``backward/NAME/STEM.flo``, that to the frame before. NAME is the video's, STEM that of its
+picture. A ``.flo`` file is Middlebury's; ``.npy`` holds (H, W, 2) float instead.
+
+A folder of tracks holds ``NAME.npz`` with ``tracks``, (T, n, 2) float, the place (x, y) in px of each of n
+points in each of T frames, and ``visible``, (T, n) bool, where it is seen. The engine begins trajectories
+where it likes; each follows the stored point that is nearest, if one is near.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mlbs_actors.errors import SourceError
+from mlbs_actors.messages import Array
+
+__all__ = ["FollowedFrame", "StoredMotion", "read_flow"]
+
+_FLO_MAGIC = 202021.25
+_UNKNOWN = 1e9
+_NEAR = 4.0  # distance up to which a trajectory follows a stored point, px
+
+#: Newest frames whose motion can be asked for. The engine asks for older ones only to compare a new frame
+#: with what it showed long ago.
+_REMEMBERED = 64
+
+
+@dataclass(frozen=True, slots=True)
+class FollowedFrame:
+    """A frame that the engine was given.
+
+    Attributes
+    ----------
+    index : int
+        In its source, from 0.
+    stem : str
+        Of its name.
+    digest : str
+        Of its pixels: the engine asks for the motion of pictures, not of indices.
+    """
+
+    index: int
+    stem: str
+    digest: str
+
+
+class StoredMotion:
+    """Stored flow and tracks of one video, as the functions that the engine takes.
+
+    Parameters
+    ----------
+    name : str
+        Of the video, in the folders.
+    flow, tracks : Path, optional
+        Folders; see above.
+
+    Attributes
+    ----------
+    flow : callable or None
+        For ``MultilayerSubtractor(flow=…)``; None without a folder.
+    tracks : callable or None
+        For ``MultilayerSubtractor(tracks=…)``.
+    followed : sequence of FollowedFrame
+        The newest frames, oldest first: all that it remembers.
+
+    Examples
+    --------
+    >>> stored = StoredMotion("street", flow=Path("flow"))
+    >>> subtractor = MultilayerSubtractor(flow=stored.flow, tracks=stored.tracks)
+    >>> for index, path in enumerate(sorted(Path("street").iterdir())):
+    ...     frame = cv2.imread(str(path))
+    ...     stored.follow(index, path.stem, frame)
+    ...     results = subtractor.apply(frame)
+    """
+
+    def __init__(self, name: str, flow: Path | None = None, tracks: Path | None = None) -> None:
+        self._name, self._flow, self._tracks = name, flow, tracks
+        self._stored: tuple[Array, Array] | None = None
+        self._followed = deque[FollowedFrame](maxlen=_REMEMBERED)
+
+    @property
+    def flow(self) -> Callable[[Array, Array], Array] | None:
+        """The flow function."""
+        return None if self._flow is None else self._stored_flow
+
+    @property
+    def tracks(self) -> Callable[[Array, Array, Array], tuple[Array, Array]] | None:
+        """The tracks function."""
+        return None if self._tracks is None else self._stored_tracks
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether there is a folder of either."""
+        return self._flow is not None or self._tracks is not None
+
+    @property
+    def followed(self) -> tuple[FollowedFrame, ...]:
+        """The newest frames, oldest first."""
+        return tuple(self._followed)
+
+    @followed.setter
+    def followed(self, frames: Sequence[FollowedFrame]) -> None:
+        self._followed = deque(frames, maxlen=_REMEMBERED)
+
+    def follow(self, index: int, stem: str, frame: Array) -> None:
+        """Note a frame before the engine gets it.
+
+        Parameters
+        ----------
+        index : int
+            In its source, from 0.
+        stem : str
+            Of its name.
+        frame : (H, W, 3) uint8
+
+        Raises
+        ------
+        SourceError
+            If there is nothing of this video in a folder.
+        """
+        if not self._followed:
+            self._check()
+        self._followed.append(FollowedFrame(index, stem, _digest(frame)))
+
+    def _check(self) -> None:
+        if self._flow is not None:
+            for way in ("forward", "backward"):
+                if not (self._flow / way / self._name).is_dir():
+                    raise SourceError(
+                        f"There is no flow in {self._flow / way / self._name}; --flow needs forward/NAME and "
+                        "backward/NAME."
+                    )
+        if self._tracks is not None:
+            self._read_tracks(self._tracks)
+
+    def _frame(self, picture: Array) -> FollowedFrame | None:
+        """Return which frame a picture is: of equal ones the newest; None for one forgotten."""
+        digest = _digest(picture)
+        return next((one for one in reversed(self._followed) if one.digest == digest), None)
+
+    def _stored_flow(self, first: Array, second: Array) -> Array:
+        """Return the displacement of each pixel from the first frame to the second: (H, W, 2) float32, px."""
+        assert self._flow is not None
+        start, end = self._frame(first), self._frame(second)
+        if start is None or end is None or abs(end.index - start.index) != 1:
+            # Equal frames, or a pair across a damaged one: no motion is known.
+            return np.zeros((*first.shape[:2], 2), np.float32)
+        folder = self._flow / ("forward" if end.index > start.index else "backward") / self._name
+        places = (folder / f"{start.stem}.flo", folder / f"{start.stem}.npy")
+        path = next((one for one in places if one.exists()), None)
+        if path is None:
+            raise SourceError(f"There is no {start.stem}.flo and no {start.stem}.npy in {folder}.")
+        flow = read_flow(path)
+        if flow.shape[:2] != first.shape[:2]:
+            raise SourceError(
+                f"{path} is of {flow.shape[:2]} px (rows, columns), the frame {first.shape[:2]}."
+            )
+        return flow
+
+    def _stored_tracks(self, first: Array, second: Array, points: Array) -> tuple[Array, Array]:
+        """Return where points (n, 2) of the first frame are in the second, and which of them are seen."""
+        from scipy.spatial import cKDTree
+
+        assert self._tracks is not None
+        places, visible = self._stored or self._read_tracks(self._tracks)
+        start, end = self._frame(first), self._frame(second)
+        lost = points.copy(), np.zeros(len(points), bool)
+        if start is None or end is None:
+            return lost
+        if max(start.index, end.index) >= len(places):
+            raise SourceError(
+                f"{self._tracks / self._name}.npz has tracks of {len(places)} frames; frame {end.index} is "
+                "beyond them."
+            )
+        both = visible[start.index] & visible[end.index]
+        if not both.any():
+            return lost
+        distance, nearest = cKDTree(places[start.index][both]).query(points)
+        motion = (places[end.index] - places[start.index])[both][nearest]
+        return (points + motion).astype(np.float32), np.asarray(distance < _NEAR)
+
+    def _read_tracks(self, folder: Path) -> tuple[Array, Array]:
+        path = folder / f"{self._name}.npz"
+        expected = (
+            "--tracks needs NAME.npz with tracks (frames, points, 2) float and visible (frames, points) bool"
+        )
+        try:
+            with np.load(path) as stored:
+                tracks, visible = stored["tracks"], stored["visible"]
+        except FileNotFoundError:
+            raise SourceError(f"There are no tracks in {path}; {expected}.") from None
+        except (OSError, ValueError, KeyError) as error:
+            raise SourceError(f"{path} cannot be read as tracks: {error}; {expected}.") from error
+        is_float = np.issubdtype(tracks.dtype, np.floating)
+        if tracks.ndim != 3 or tracks.shape[2] != 2 or not is_float or visible.dtype != bool:
+            raise SourceError(
+                f"{path} holds tracks {tracks.shape} {tracks.dtype} and visible {visible.dtype}; {expected}."
+            )
+        if visible.shape != tracks.shape[:2]:
+            raise SourceError(f"{path} holds visible {visible.shape} of tracks {tracks.shape}; {expected}.")
+        self._stored = tracks, visible & np.isfinite(tracks).all(axis=2)
+        return self._stored
+
+
+def _digest(frame: Array) -> str:
+    return hashlib.blake2b(np.ascontiguousarray(frame).data, digest_size=16).hexdigest()
+
+
+def read_flow(path: Path) -> Array:
+    """Read a ``.flo`` or ``.npy`` file.
+
+    Returns
+    -------
+    (H, W, 2) float32
+        px; 0 where the file says that the motion is unknown.
+
+    Raises
+    ------
+    SourceError
+        If it is not readable as flow.
+    """
+    try:
+        flow = np.load(path) if path.suffix == ".npy" else _read_flo(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path} cannot be read as flow: {error}.") from error
+    if flow.ndim != 3 or flow.shape[2] != 2 or not np.issubdtype(flow.dtype, np.floating):
+        raise SourceError(f"{path} holds {flow.shape} {flow.dtype}; flow is (height, width, 2) float.")
+    # Middlebury's format marks unknown motion by values above 1e9, others by NaN.
+    known = (np.abs(flow) < _UNKNOWN).all(axis=2, keepdims=True)
+    return np.where(known, flow, 0).astype(np.float32)
+
+
+def _read_flo(data: bytes) -> Array:
+    if len(data) < 12 or np.frombuffer(data, "<f4", 1)[0] != _FLO_MAGIC:
+        raise ValueError("it does not begin as a .flo file does")
+    width, height = np.frombuffer(data, "<i4", 2, 4).tolist()
+    return np.frombuffer(data, "<f4", offset=12).reshape(height, width, 2)
