@@ -58,7 +58,7 @@ afterwards:
   PYTHON -m orchestrator.export FORMAT DIR OUT   csv, coco, mot, mots, davis, youtube-vos, overlay, rerun
   PYTHON -m orchestrator.disk_use DIR            bytes a frame and GB a day of each stream
   PYTHON -m orchestrator.report DIR              report.html anew, also of a run that was killed
-  PYTHON -m orchestrator.fetch s3://… DIR        DIR as it was published, with an object store as --output
+  PYTHON -m orchestrator.fetch ADDRESS DIR       DIR as it was published in an object store
 
 exit status:
   0    every stream was segmented to its end; that of a camera without --max-frames is SIGINT or SIGTERM

@@ -154,7 +154,7 @@ def test_a_store_that_is_away_for_a_while_loses_nothing(bench: Bench) -> None:
 
 def test_a_run_at_its_end_waits_for_the_store(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(publisher_module, "retry_seconds", lambda failures: 0.01)
-    failures = []
+    failures: list[str] = []
 
     def fail(request: str) -> None:
         if len(failures) < 5:
