@@ -49,7 +49,7 @@ messages on standard error
 afterwards:
   PROGRAM export FORMAT DIR OUT   csv, coco, mot, mots, davis, youtube-vos, overlay, rerun
   PROGRAM disk-use DIR            bytes a frame and GB a day of each stream
-  PROGRAM fetch s3://… DIR        DIR as it was published, with an object store as --output
+  PROGRAM fetch s3://... DIR        DIR as it was published, with an object store as --output
   PROGRAM report DIR              report.html anew, also of a run that was killed
   PROGRAM --help                  all commands
 

@@ -189,13 +189,13 @@ class Plain:
 def by_own_appearance(frames: Iterable[Picture]) -> list[Result]:
     """Results with an appearance model of one's own."""
     model: type[Appearance] = Plain
-    return list(MultilayerSubtractor(appearance=model).segment(frames))
+    return [result for _, result in MultilayerSubtractor(appearance=model).segment(frames)]
 
 
 def streamed(sources: dict[str, str]) -> dict[str, int]:
     """The number of results of each stream."""
     counted: dict[str, int] = {}
-    run: Run = orchestrator.start(sources)
+    run: Run[StreamResult] = orchestrator.start(sources)
     with run:
         one: StreamResult
         for one in run:

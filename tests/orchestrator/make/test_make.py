@@ -144,7 +144,7 @@ def alpha_of(path: Path) -> Array:
             assert "yuva" in frame.format.name
             # Of the frame itself: its conversion to RGBA has stray pixels at the right border now and then.
             plane, bits = frame.planes[3], frame.format.components[3].bits
-            values = np.frombuffer(bytes(plane), np.uint8 if bits == 8 else np.uint16)
+            values: Array = np.frombuffer(bytes(plane), np.uint8 if bits == 8 else np.uint16)
             rows = values.reshape(plane.height, -1)[:, : plane.width]
             planes.append(rows / ((1 << bits) - 1))
     return np.stack(planes)
