@@ -48,6 +48,6 @@ def test_evidence_is_the_same_in_every_field(points: tuple[int, ...]) -> None:
 
 def test_other_messages_are_equal() -> None:
     summary = LayerSummary(3, "object", Region(1, 2, 3, 4), 9, (1.5, 2.5), (0.5, -0.5), 0.75)
-    shared: Shared[FrameEvidence] = Shared(Slot("posterior", 100, 7, 3), 210)
+    shared: Shared[FrameEvidence] = Shared(Slot("posterior", 100, 7, 3, 2), 210)
     for message in (summary, shared):
         assert pickle.loads(pickle.dumps(message)) == message

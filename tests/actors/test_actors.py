@@ -442,7 +442,7 @@ def test_a_stream_that_waits_for_its_turn_goes_on_with_it_and_can_be_drained_bef
 ) -> None:
     limiter, held = BurstLimiter(1, 600.0), Future[None]()
     limiter.submit(lambda: held)
-    monkeypatch.setattr(node, "_burst_limiter", limiter)
+    monkeypatch.setattr(node, "_home", replace(node._home, burst_limiter=limiter))
     pictures = crowd(100, 2)
     started = [
         node.start(spec(name, FakeReader([*pictures], tmp_path / name))) for name in ("drained", "goes on")

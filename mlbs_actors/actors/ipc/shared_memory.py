@@ -56,6 +56,9 @@ _PLACE = struct.Struct("<6q")
 _MOST_DIMENSIONS = 3
 _TYPES = {ord(one): np.dtype(one) for one in "?bBhHiIlLqQefd"}
 
+#: Numbers of the memories that this process owns.
+_memories = count(1)
+
 
 @pickled_by_values
 @dataclass(frozen=True, slots=True)
@@ -71,12 +74,15 @@ class Slot:
         The owner's file descriptor of the memory.
     generation : int
         Number of slots that the owner had acquired by then, unique to the message.
+    memory : int
+        Number of the memory in its owner, where another one may get the descriptor later.
     """
 
     kind: SlotKind
     owner: int
     descriptor: int
     generation: int
+    memory: int
 
 
 @pickled_by_values
@@ -113,10 +119,10 @@ class SlotPool:
         free, generation = self._free.setdefault(kind, []), next(self._generations)
         if free:
             last = free.pop()
-            return Slot(kind, last.owner, last.descriptor, generation)
+            return Slot(kind, last.owner, last.descriptor, generation, last.memory)
         descriptor = os.memfd_create(f"{_NAME}{kind}")
         self._descriptors.append(descriptor)
-        return Slot(kind, os.getpid(), descriptor, generation)
+        return Slot(kind, os.getpid(), descriptor, generation, next(_memories))
 
     def release(self, slots: Sequence[Slot]) -> None:
         """Release the slots of a frame whose messages nobody reads any more.
@@ -137,8 +143,8 @@ class SharedMemory:
     """A process's mappings of the slots of one stream."""
 
     def __init__(self) -> None:
-        # By kind, owner and descriptor: writable and read-only view.
-        self._maps: dict[tuple[SlotKind, int, int], tuple[mmap.mmap, memoryview]] = {}
+        # By owner and number: writable and read-only view.
+        self._maps: dict[tuple[int, int], tuple[mmap.mmap, memoryview]] = {}
         self._reductions = {**copyreg.dispatch_table, np.ndarray: _reduced_array}
 
     def share(self, message: Message, slot: Slot) -> Shared[Message]:
@@ -217,7 +223,7 @@ class SharedMemory:
 
     def _mapped(self, slot: Slot, size: int, *, grow: bool) -> tuple[mmap.mmap, memoryview]:
         """Return the writable and the read-only view of a slot's memory."""
-        key = (slot.kind, slot.owner, slot.descriptor)
+        key = (slot.owner, slot.memory)
         known = self._maps.get(key)
         if known is not None and len(known[0]) >= size:
             return known

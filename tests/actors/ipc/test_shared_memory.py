@@ -123,7 +123,9 @@ def test_a_message_that_is_read_too_late_is_refused() -> None:
 
 
 def test_a_message_whose_owner_is_gone_is_a_lost_process() -> None:
-    gone: Shared[SourceFrame] = Shared(Slot("frame", 2**22 + 1, 3, 1), 10)  # beyond the greatest process id
+    gone: Shared[SourceFrame] = Shared(
+        Slot("frame", 2**22 + 1, 3, 1, 1), 10
+    )  # beyond the greatest process id
     with pytest.raises(ActorLostError, match="cannot reach the memory"):
         SharedMemory().load(gone)
 
