@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.credentials import mask
 from orchestrator.object_storage.address import StoreAddress
+
+if TYPE_CHECKING:
+    from obstore.store import ObjectStore as RemoteStore
 
 __all__ = ["Content", "MissingObjectError", "ObjectStore", "StoreError", "open_store"]
 
@@ -91,7 +94,7 @@ def open_store(address: StoreAddress) -> ObjectStore:
 class _RemoteStore:
     """An :class:`ObjectStore` by means of ``obstore``."""
 
-    def __init__(self, store: object) -> None:
+    def __init__(self, store: RemoteStore) -> None:
         import obstore
         from obstore.exceptions import AlreadyExistsError, PreconditionError
 
