@@ -23,6 +23,7 @@ from mlbs_actors.errors import ConfigError
 from orchestrator import StreamResult
 from orchestrator.library import run as library_run
 from orchestrator.library import starting
+from orchestrator.run.need import Need
 from orchestrator.sources.synthetic import scene_from_uri
 
 SCENE = "synthetic:demo?frames=72&width=160&height=120&seed=1"
@@ -47,7 +48,7 @@ def host(monkeypatch: pytest.MonkeyPatch) -> Iterator[ThreadHost]:
     def present(address: str | None) -> Iterator[bool]:
         yield False
 
-    def node(folder: Path, streams: int, say: object, *, shared: bool) -> Node:
+    def node(folder: Path, streams: int, need: Need, say: object, *, shared: bool) -> Node:
         return Node(parts=ColdParts(), policy=PoolPolicy(streams=2))
 
     monkeypatch.setattr(starting, "present_ray", present)
