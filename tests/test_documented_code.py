@@ -111,10 +111,11 @@ def test_the_code_of_the_page_on_ray_runs_as_one_program(folder: Path) -> None:
     program = "\n".join(one for one in blocks if not any(f"import {package}" in one for package in missing))
     # What a block without its package would have brought.
     program = "from typing import Any\nfrom mlbs_actors import MultilayerSubtractor\n" + program
+    (folder / "program.py").write_text(program, encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-c", program],
+        [sys.executable, "program.py"],
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])},
         capture_output=True,
         text=True,
         timeout=600,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 from mlbs_actors.actors.ipc.channels import ChannelAddress
@@ -114,6 +115,9 @@ class LiveLayers:
         """Release all processes, each once it has stopped serving."""
         for layer in list(self._living):
             self._release(layer)
+        if self._asked is not None:
+            # Nobody needs the answer, that the stream has ended; but what nobody looks at is reported by Ray.
+            self._asked.future().add_done_callback(Future.exception)
 
     def _assigned(self, evidence: FrameEvidence) -> Iterator[tuple[int, ChannelAddress]]:
         # Only layers live in this frame: their answer to it confirms that they have read their state.
