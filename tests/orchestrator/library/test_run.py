@@ -20,11 +20,11 @@ from mlbs_actors.actors.node.pool import PoolPolicy
 from mlbs_actors.actors.node.processes import get
 from mlbs_actors.actors.pipeline import Node
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.scenes.synthetic import scene_from_uri
 from orchestrator import StreamResult
 from orchestrator.library import run as library_run
 from orchestrator.library import starting
 from orchestrator.run.need import Need
-from orchestrator.sources.synthetic import scene_from_uri
 
 SCENE = "synthetic:demo?frames=72&width=160&height=120&seed=1"
 LONG = "synthetic:demo?frames=240&width=64&height=48&seed=2"
