@@ -109,7 +109,7 @@ def test_a_mask_is_of_one_object_and_empty_for_one_that_is_not_there() -> None:
 
 def test_the_repr_of_a_result_shows_its_objects_and_no_array() -> None:
     (result,) = run(pictures_of("pan", 1))
-    assert repr(result).startswith("Result(frame_index=0, layers=(), ")
+    assert repr(result) == "Result(frame 0, 160×120, objects none)"
     assert "array" not in repr(result)
     assert "LayerSummary(layer=3" in repr(segmentation(0, 3))
 

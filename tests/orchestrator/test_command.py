@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import importlib.util
 import json
 import os
 import shutil
@@ -419,7 +418,7 @@ def test_a_cluster_that_cannot_be_reached_ends_with_status_2_soon(tmp_path: Path
 def test_without_the_packages_of_a_run_the_command_names_them_and_how_to_get_them(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name in ("av", "ray") else name)
+    monkeypatch.setattr("orchestrator.extra.find_spec", lambda name: None if name in ("av", "ray") else name)
     monkeypatch.setattr("orchestrator.__main__.exit_on_signals", lambda: None)  # the test run has its own
     assert main(["a.mp4"]) == 2
     message = capsys.readouterr().err
@@ -431,7 +430,7 @@ def test_without_the_packages_of_a_run_the_command_names_them_and_how_to_get_the
 def test_without_the_packages_of_a_run_the_command_shows_its_help(
     flag: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr("orchestrator.extra.find_spec", lambda _: None)
     monkeypatch.setattr("orchestrator.__main__.exit_on_signals", lambda: None)  # the test run has its own
     assert main(["a.mp4", flag]) == 0
     shown = capsys.readouterr()
