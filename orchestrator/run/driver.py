@@ -123,8 +123,12 @@ class Driver:
             spec.name: DrivenStream(spec, host, clock, lengths.get(spec.name), loads.get(spec.name, 0.0))
             for spec in specs
         }
+        self._earlier: dict[str, StreamState] = {}  # of which no more is known
         for name, state in (ended or {}).items():
-            self._streams[name].state = state
+            if name in self._streams:
+                self._streams[name].state = state
+            else:
+                self._earlier[name] = state
         self._host = host
         self._admission = admission
         self._observers = observers
@@ -141,7 +145,7 @@ class Driver:
     @property
     def states(self) -> tuple[StreamState, ...]:
         """The current states, in the order of the list."""
-        return tuple(one.state for one in self._streams.values())
+        return (*(one.state for one in self._streams.values()), *self._earlier.values())
 
     def run(self) -> int:
         """Run all streams to their ends, or until a signal; return the run's exit status."""
@@ -181,6 +185,8 @@ class Driver:
         if self._coming.pop(name, None) is not None:
             self._renamed.pop(name, None)
             return
+        if name in self._earlier:
+            return
         one = self._streams[name]
         if one.state.state != "waiting":
             one.is_leaving = one.is_at_work or one.returns
@@ -214,6 +220,10 @@ class Driver:
                 before, ended = self._renamed.pop(name)
                 self._streams.pop(before, None)
                 ended()
+            if name in self._earlier:
+                if has_ended(self._earlier[name]):
+                    continue
+                del self._earlier[name]
             if name in self._streams and has_ended(self._streams[name].state):
                 continue
             self._streams[name] = new

@@ -15,12 +15,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from moving_cameras import moving_cameras
 
 from chaos.harness.webhook import Webhook
+from orchestrator.events.event import EventKind
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -30,7 +31,7 @@ PATIENCE = 120.0
 #: Kinds of events that are written, but not sent by default.
 UNSENT = ("born", "hidden", "back", "ended")
 
-ALL_KINDS = (*UNSENT, "entered", "left", "crossed", "rule", "configured", "fault")
+ALL_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
 RULES = "[{{name: stays, dwell: {{zone: middle, seconds: 0.4}}, schedule: {{{}, timezone: UTC}}}}]"
 
@@ -258,7 +259,7 @@ def hours(*, away: bool) -> str:
 
 def waiting(one: Day) -> int:
     """Return how many events wait for the target."""
-    return sum(target["waiting"] for target in one.status()["events"].values())
+    return sum(target["waiting"] for target in one.status()["events"])
 
 
 def fill(disk: Path) -> Path:

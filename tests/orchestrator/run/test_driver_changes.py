@@ -15,7 +15,7 @@ from orchestrator.interruption import Interruption
 from orchestrator.run import driver as driver_module
 from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver, SpecChange
-from orchestrator.run.stream_state import ENDED
+from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.storage.durable_files import UnwritableError
 
 
@@ -331,3 +331,32 @@ def test_a_run_ends_at_once_though_a_camera_waits_for_its_disk(monkeypatch: pyte
     )
     driver.run()
     assert recorder.last[0].interrupted
+
+
+@pytest.mark.parametrize("interrupted", [True, False])
+def test_a_stream_of_an_earlier_run_that_the_list_names_again_goes_on_unless_it_had_ended(
+    interrupted: bool,
+) -> None:
+    again, interruption = FakeStream(8), Interruption()
+    earlier = StreamState("camera", "done", read=40, committed=40, live=True, interrupted=interrupted)
+    left = [SpecChange(added=(spec("camera"),)), None, None]
+
+    def changes() -> SpecChange | None:
+        if not left and (again.stops or not interrupted):
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left else None
+
+    host = FakeHost({"camera": again})
+    driver = Driver(
+        [],
+        host,
+        admission=by_count(1),
+        observers=[],
+        interruption=interruption,
+        ended={"camera": earlier},
+        changes=changes,
+    )
+    assert driver.states == (earlier,)
+    driver.run()
+    assert host.started == (["camera"] if interrupted else [])
+    assert [state.name for state in driver.states] == ["camera"]
