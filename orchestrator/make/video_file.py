@@ -51,11 +51,14 @@ class _Form:
 
 _H264 = {"preset": "veryfast", "crf": "20"}
 
+#: ProRes by one thread: with several, libav's encoder writes stray pixels into the opacity now and then.
+_PRORES = {"profile": "4444", "alpha_bits": "16", "threads": "1"}
+
 #: What is written under which ending. Those of ``VP9`` with opacity allow no alternate reference frames.
 FORMS = {
     ".mp4": _Form("mp4", "libx264", "yuv420p", _H264),
     ".mkv": _Form("matroska", "libx264", "yuv420p", _H264),
-    ".mov": _Form("mov", "prores_ks", "yuva444p10le", {"profile": "4444", "alpha_bits": "16"}, opaque=False),
+    ".mov": _Form("mov", "prores_ks", "yuva444p10le", _PRORES, opaque=False),
     ".webm": _Form(
         "webm",
         "libvpx-vp9",
