@@ -231,16 +231,17 @@ def test_an_injection_counts_calls_from_when_it_is_armed_and_not_once_it_is_disa
     assert not injector.has_fired(injections[0])
 
 
-def test_an_injection_records_when_each_process_first_calls_it(tmp_path: Path) -> None:
+def test_an_injection_records_when_each_object_first_calls_it(tmp_path: Path) -> None:
     injection = Injection("steps:Part.work", "record", when="after")
     before = time.monotonic()
-    ended = in_process(tmp_path, "for number in range(3): part.work(number)", injection)
+    code = "for number in range(6):\n    vars(part).clear() if number == 3 else None\n    part.work(number)"
+    ended = in_process(tmp_path, code, injection)
     subprocess.run(ended.args, env=_environment(tmp_path), check=True)
     times = Injector(tmp_path / "another", [injection]).recorded_times(injection)
     assert times == []
     notes = sorted(float(note.read_text()) for note in (tmp_path / "injector").glob("recorded-0-*"))
-    assert len(notes) == 2
-    assert before < notes[0] < notes[1] < time.monotonic()
+    assert len(notes) == 4  # two in each process
+    assert before < notes[0] < notes[1] < notes[2] < notes[3] < time.monotonic()
 
 
 def test_an_injection_fires_only_in_processes_of_its_kind(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ from mlbs_actors.source import SourceFrame
 from mlbs_actors.state_file import capture
 from mlbs_actors.stored_motion import StoredMotion
 from orchestrator.interruption import Interruption
-from orchestrator.run import driver as driver_module
+from orchestrator.run import driven_stream
 from orchestrator.run.admission import by_count
 from orchestrator.run.driver import Driver
 from orchestrator.run.recovery import MOST_RETURNS, Returns
@@ -586,7 +586,7 @@ def test_a_reader_that_dies_at_the_same_frame_every_time_ends_its_stream_with_th
 def test_a_part_that_hangs_is_taken_for_lost(
     parts: FakeParts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(driver_module, "STALL_SECONDS", 15.0)
+    monkeypatch.setattr(driven_stream, "STALL_SECONDS", 15.0)
     pictures = fatal(30, 19, "layer")
     with started(replace(parts, hang=True)) as node:
         states = drive(node, spec("slow", FakeReader([*pictures], tmp_path / "r"), tmp_path))

@@ -13,7 +13,8 @@ from chaos.harness.scenario import RecoveryTime, ScenarioContext, Verdicts
 
 __all__ = ["LABELLED", "FaultSeries", "Inject", "newest_label_map", "time_recovery"]
 
-#: Records when a segmenter's process has made its first label map: a stream that was restored has a new one.
+#: Records when a segmenter has made its first label map: a stream that was restored has a new one, though
+#: perhaps in a process that has served another stream before.
 LABELLED = Injection("mlbs_actors.actors.stream.segmenter_actor:SegmenterActor.step", "record", when="after")
 
 Inject = Callable[[ObservedRun, Injector], None]

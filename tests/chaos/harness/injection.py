@@ -51,7 +51,8 @@ class Injection:
         delayed, or its time is recorded; or the name is no function and is set to ``value``.
     call : int
         The first call of a process at which that happens, from 0, counted while the injection is armed; for
-        "fail" and "wait" at later ones too.
+        "fail" and "wait" at later ones too. "record" is of a method: its first call for each object, or for
+        what the object has become since it dropped all that it held.
     when : {"before", "after", "soon after"}
         The call, after its return, or a moment later.
     times : int
@@ -120,7 +121,7 @@ class Injector:
         return any(self._folder.glob(f"fired-{self._injections.index(injection)}-*"))
 
     def recorded_times(self, injection: Injection) -> list[float]:
-        """Return the times that a "record" injection has recorded: one a process, monotonic, s, in order."""
+        """Return the times that a "record" injection has recorded: one an object, monotonic, s, in order."""
         files = self._folder.glob(f"recorded-{self._injections.index(injection)}-*")
         return sorted(float(text) for file in files if (text := file.read_text()))
 
@@ -149,6 +150,7 @@ class _Installed:
         self._folder = folder
         self._number = number
         self._calls = 0
+        self._mark = f"_recorded_{number}"
 
     def replacement(self, function: Any) -> Any:
         """Return what replaces the function."""
@@ -158,21 +160,21 @@ class _Installed:
 
             @functools.wraps(function)
             async def replaced_coroutine(*arguments: Any, **named: Any) -> Any:
-                with self._around():
+                with self._around(arguments):
                     return await function(*arguments, **named)
 
             return replaced_coroutine
 
         @functools.wraps(function)
         def replaced(*arguments: Any, **named: Any) -> Any:
-            with self._around():
+            with self._around(arguments):
                 return function(*arguments, **named)
 
         return replaced
 
     @contextmanager
-    def _around(self) -> Iterator[None]:
-        fires = self._fires()
+    def _around(self, arguments: Sequence[Any]) -> Iterator[None]:
+        fires = self._fires(arguments)
         if fires and self.injection.when == "before":
             self._act()
         yield
@@ -181,12 +183,17 @@ class _Installed:
         elif fires and self.injection.when == "soon after":
             threading.Timer(_SOON_SECONDS, self._act).start()
 
-    def _fires(self) -> bool:
+    def _fires(self, arguments: Sequence[Any]) -> bool:
         if not Path("/proc/self/cmdline").read_text(errors="replace").startswith(self.injection.process):
             return False
         if not _armed_marker(self._folder, self._number).exists():
             return False
         call, self._calls = self._calls, self._calls + 1
+        if self.injection.action == "record":
+            held = vars(arguments[0])
+            is_first = self._mark not in held
+            held[self._mark] = True
+            return is_first
         return call == self.injection.call or (
             self.injection.action in _REPEATED and call > self.injection.call
         )
@@ -194,7 +201,7 @@ class _Installed:
     def _act(self) -> None:
         action, value = self.injection.action, self.injection.value
         if action == "record":
-            file = self._folder / f"recorded-{self._number}-{os.getpid()}"
+            file = self._folder / f"recorded-{self._number}-{os.getpid()}-{self._calls}"
             file.write_text(repr(time.monotonic()))
             return
         if not self._count_firing():
