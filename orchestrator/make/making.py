@@ -26,6 +26,9 @@ __all__ = ["MADE", "Place", "Request", "make"]
 #: Folder of what is made, in that of the stream.
 MADE = "made"
 
+#: File in each folder that is made elsewhere; without it none is removed there to make room for a new one.
+_MARK = ".mlbs-actors-made"
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -52,7 +55,8 @@ class Request:
     kind : str
     run : Path
     out : Path, optional
-        A file, if it has an ending, else a folder; by default the folder ``made`` of each stream.
+        A file, if it has an ending, else a folder to put it into; by default the folder ``made`` of each
+        stream. Of what is made as a folder (see :func:`~.kinds.files_of`) the name without its ending.
     suffix : str, optional
         Ending of the file, if ``out`` has none.
     stream : str, optional
@@ -65,7 +69,7 @@ class Request:
     span : Span
     manner : Manner
     replace : bool
-        Whether files that are there already are replaced.
+        Whether files that are there already are replaced, and folders that this has made.
     """
 
     kind: str
@@ -104,9 +108,8 @@ def make(request: Request, say: Callable[[str], None]) -> Iterator[Path]:
     """
     sources, private = _sources(request), is_private(description_of(request.run))
     places = {name: _place(request, name, alone=len(sources) == 1) for name in sources}
-    if not request.replace:
-        for place in places.values():
-            _refuse_if_there(request, place)
+    for place in places.values():
+        _refuse_if_there(request, place)
     made, faults = 0, []
     for name, source in sources.items():
         folder = request.run / name
@@ -170,11 +173,28 @@ def _place(request: Request, name: str, *, alone: bool) -> Place:
 
 
 def _refuse_if_there(request: Request, place: Place) -> None:
+    """Raise ConfigError if anything is in the way that is not, or must not be, replaced."""
     for name in files_of(request.kind, place.stem, place.suffix, request.manner):
-        if (place.folder / name).exists():
+        target = place.folder / name
+        if not target.exists():
+            continue
+        if name != place.stem:
+            if target.is_dir():
+                raise ConfigError(f"{target} is a folder; name another place to write to.")
+        elif not _is_made(request, target):
             raise ConfigError(
-                f"{place.folder / name} is there already; name another place to write to, or add --replace."
+                f"{request.kind} is written to the folder {target} here, but what is there was not made by "
+                "this command, and stays; name another place to write to."
             )
+        if not request.replace:
+            raise ConfigError(f"{target} is there already; name another place to write to, or add --replace.")
+
+
+def _is_made(request: Request, folder: Path) -> bool:
+    """Whether this command has made a folder, or nothing is in it, so that it may be removed."""
+    if not folder.is_dir() or folder.is_symlink() or request.run.resolve().is_relative_to(folder.resolve()):
+        return False
+    return request.out is None or (folder / _MARK).exists() or not any(folder.iterdir())
 
 
 def _made(request: Request, footage: Footage, place: Place) -> tuple[Path, list[str]]:
@@ -186,9 +206,13 @@ def _made(request: Request, footage: Footage, place: Place) -> tuple[Path, list[
             remarks = write(request.kind, footage, Path(draft), place.stem, place.suffix, request.manner)
         except av.error.FFmpegError as error:
             raise ConfigError(f"{place.folder / names[0]} cannot be encoded: {reason(error)}.") from None
+        _refuse_if_there(request, place)  # by now, as it may have taken hours
         for name in names:
-            target = place.folder / name
-            if target.is_dir():
-                shutil.rmtree(target)
-            (Path(draft) / name).replace(target)
+            made, target = Path(draft) / name, place.folder / name
+            if made.is_dir():
+                if request.out is not None:
+                    (made / _MARK).touch()
+                if target.exists():
+                    shutil.rmtree(target)
+            made.replace(target)
     return place.folder / names[0], remarks

@@ -335,6 +335,59 @@ def test_what_is_there_is_replaced_only_if_that_is_asked_for(
     assert sorted(one.name for one in path.parent.iterdir()) == ["blur-3.mp4", "blur.mp4"]
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("cutout", "{0}.png"),
+        ("cutout", "{0}.mov", "--each"),
+        ("clips", "{0}.mp4", "--apart"),
+    ],
+)
+def test_a_folder_that_something_else_has_made_is_never_replaced(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    holiday = tmp_path / "holiday"
+    holiday.mkdir()
+    (holiday / "img000.png").write_bytes(b"a picture")
+    before = sorted(tmp_path.rglob("*"))
+    for folder in (holiday, run, run / "yard", tmp_path):
+        place = words[1].format(folder)
+        for more in ((), ("--replace",)):
+            assert main([words[0], str(run), place, *words[2:], *more]) == 2
+            told = capsys.readouterr().err
+            assert f"is written to the folder {folder} here" in told
+            assert "--replace" not in told
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_folder_that_was_made_before_is_replaced_wherever_it_is(run: Path, tmp_path: Path) -> None:
+    for place in ([], [str(tmp_path / "cut.png")]):
+        command = ["cutout", str(run), *place, "--format", "png"]
+        assert main(command) == 0
+        folder = tmp_path / "cut" if place else run / "yard/made/cutout"
+        assert len(list(folder.glob("*.png"))) == FRAMES
+        assert main(command) == 2
+        assert main([*command, "--replace", "--from", "30f"]) == 0
+        assert len(list(folder.glob("*.png"))) == FRAMES - 30
+        (folder / "run").mkdir()
+    # Somebody has put a run into it since.
+    within = shutil.copytree(run, tmp_path / "cut/run", dirs_exist_ok=True)
+    assert main(["cutout", str(within), str(tmp_path / "cut.png"), "--replace"]) == 2
+    assert (within / "run.json").exists()
+
+
+def test_a_file_and_a_folder_do_not_replace_each_other(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "notes").write_text("of a user")
+    assert main(["cutout", str(run), str(tmp_path / "notes.png"), "--replace"]) == 2
+    assert (tmp_path / "notes").read_text() == "of a user"
+    (tmp_path / "out/yard-blur.mp4").mkdir(parents=True)
+    assert main(["blur", str(run), str(tmp_path / "out"), "--replace"]) == 2
+    assert "yard-blur.mp4 is a folder" in capsys.readouterr().err
+    assert (tmp_path / "out/yard-blur.mp4").is_dir()
+
+
 def test_streams_that_cannot_be_read_again_are_told_and_the_others_made(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
