@@ -38,7 +38,7 @@ def make_of_all(
             say(f"Making {kind} of {spec.name}.")
             request = Request(kind, folder.path, manner, stream=spec.name, replace=True)
             try:
-                for path in make(request, say):
+                for path in make([request], say):
                     say(str(path))
             except ConfigError as error:
                 say(f"There is no {kind} of {spec.name}. {error}")

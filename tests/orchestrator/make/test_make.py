@@ -388,6 +388,44 @@ def test_a_file_and_a_folder_do_not_replace_each_other(
     assert (tmp_path / "out/yard-blur.mp4").is_dir()
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("cutout,blur", "--each"), "goes with cutout only"),
+        (("sheet,melt",), "no kind 'melt'"),
+        (("sheet,blur", "--format", "png"), "blur is written as .mp4 or .mkv, not as .png"),
+        (("sheet,gif", "{out}/a.jpg"), "gif is written as .gif, not as .jpg"),
+        (("blur,overlay", "{out}/a.mp4", "--replace"), "blur and overlay cannot both be written to"),
+        (("overlay,clips", "{out}/a.mp4"), "overlay and clips cannot both be written to"),
+        (("blur,highlight", "{out}"), "yard-highlight.mp4 is there already"),
+    ],
+)
+def test_of_several_kinds_none_is_made_unless_all_can_be_tried(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], told: str
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "yard-highlight.mp4").write_bytes(b"made before")
+    assert main([words[0], str(run), *(word.format(out=out) for word in words[1:])]) == 2
+    assert told in capsys.readouterr().err
+    assert [path.read_bytes() for path in out.iterdir()] == [b"made before"]
+    assert not (run / "yard/made").exists()
+
+
+def test_a_kind_that_turns_out_impossible_does_not_prevent_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def found(index: int) -> Segmentation:
+        made_of = segmentation(index, 3)
+        return replace(made_of, layers=tuple(replace(one, state="resting") for one in made_of.layers))
+
+    run = write_run_over(tmp_path / "run", {"yard": write_pictures(tmp_path / "yard")}, found)
+    assert main(["clips,sheet,sheet", str(run)]) == 2
+    said = capsys.readouterr()
+    assert said.err == "Nothing that was asked for moves in 'yard'.\n"
+    assert said.out == f"{run}/yard/made/sheet.jpg\n"
+
+
 def test_streams_that_cannot_be_read_again_are_told_and_the_others_made(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
