@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -437,6 +438,43 @@ def test_streams_that_cannot_be_read_again_are_told_and_the_others_made(
     assert "the source of 'gone', cannot be read again" in capsys.readouterr().err
     assert main(["blur", str(run), "--stream", "gone"]) == 2
     assert not list((run / "gone/made").iterdir())  # nothing half made
+
+
+def soon_at_rest(index: int) -> Segmentation:
+    """Object 5 moves in the first 20 frames."""
+    made_of = segmentation(index, 5)
+    state: ObjectState = "moving" if index < 20 else "resting"
+    return replace(made_of, layers=tuple(replace(one, state=state) for one in made_of.layers))
+
+
+def damage(run: Path, frames: Iterable[int]) -> None:
+    """Make pictures of the source unreadable since the run."""
+    for index in frames:
+        (Path(source_of(run)) / f"img{index:03d}.png").write_bytes(b"no picture")
+
+
+@pytest.mark.parametrize(
+    "words", [("clips", "--only", "5"), ("clips", "--only", "5", "--apart"), ("gif",), ("blur",)]
+)
+def test_frames_that_cannot_be_read_again_are_told_of_every_kind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    # Neither the clips nor the animation reach the end of the video.
+    run = write_run_over(tmp_path / "run", {"yard": write_pictures(tmp_path / "yard", 520)}, soon_at_rest)
+    damage(run, range(3, 7))
+    made(run, *words)
+    assert "yard: 4 of 520 frames could not be read again and are left out." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("apart", [(), ("--apart",)])
+def test_clips_of_which_no_part_can_be_read_again_are_not_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], apart: tuple[str, ...]
+) -> None:
+    run = write_run_over(tmp_path / "run", {"yard": write_pictures(tmp_path / "yard")}, soon_at_rest)
+    damage(run, range(35))
+    assert main(["clips", str(run), *apart]) == 2
+    assert "in which something moves in 'yard' can be read again" in capsys.readouterr().err
+    assert not list((run / "yard/made").iterdir())
 
 
 @pytest.mark.parametrize(
