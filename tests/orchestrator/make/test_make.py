@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
+import signal
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -535,6 +537,26 @@ def test_a_run_makes_what_is_asked_of_each_file_that_has_ended(tmp_path: Path) -
     ]
     assert (run / "old/made/sheet.jpg").read_bytes() == b"of the run before"
     assert sum(sentence.startswith("There is no blur of gone.") for sentence in said) == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_what_a_run_makes_but_not_the_run(
+    run: Path, monkeypatch: pytest.MonkeyPatch, signals_exit: None, number: signal.Signals
+) -> None:
+    def write_until_signalled(*given: object) -> list[str]:
+        os.kill(os.getpid(), number)
+        raise AssertionError("the signal did not come")
+
+    monkeypatch.setattr("orchestrator.make.making.write", write_until_signalled)
+    said: list[str] = []
+    job = cast(Job, SimpleNamespace(specs=[Spec("yard", live=False)]))
+    states = [StreamState("yard", "done", committed=FRAMES)]
+    make_of_all(("blur", "sheet"), job, {"yard"}, states, RunFolder(run), said.append)
+    assert said == [
+        "Making blur of yard.",
+        "To make blur of yard, give the same command with --resume.",
+    ]
+    assert not list((run / "yard/made").iterdir())
 
 
 def test_the_help_says_that_blurring_is_no_promise_of_privacy(capsys: pytest.CaptureFixture[str]) -> None:
