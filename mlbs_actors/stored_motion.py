@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mlbs_actors.array_files import load_array, load_arrays
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
 
@@ -193,11 +194,10 @@ class StoredMotion:
             "--tracks needs NAME.npz with tracks (frames, points, 2) float and visible (frames, points) bool"
         )
         try:
-            with np.load(path) as stored:
-                tracks, visible = stored["tracks"], stored["visible"]
+            tracks, visible = load_arrays(path, "tracks", "visible")
         except FileNotFoundError:
             raise SourceError(f"There are no tracks in {path}; {expected}.") from None
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError) as error:
             raise SourceError(f"{path} cannot be read as tracks: {error}; {expected}.") from error
         is_float = np.issubdtype(tracks.dtype, np.floating)
         if tracks.ndim != 3 or tracks.shape[2] != 2 or not is_float or visible.dtype != bool:
@@ -228,7 +228,7 @@ def read_flow(path: Path) -> Array:
         If it is not readable as flow.
     """
     try:
-        flow = np.load(path) if path.suffix == ".npy" else _read_flo(path.read_bytes())
+        flow = load_array(path) if path.suffix == ".npy" else _read_flo(path.read_bytes())
     except (OSError, ValueError) as error:
         raise SourceError(f"{path} cannot be read as flow: {error}.") from error
     if flow.ndim != 3 or flow.shape[2] != 2 or not np.issubdtype(flow.dtype, np.floating):
