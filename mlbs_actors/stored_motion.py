@@ -65,11 +65,9 @@ class StoredMotion:
 
     Attributes
     ----------
-    flow : callable or None
-        For ``MultilayerSubtractor(flow=…)``; None without a folder.
-    tracks : callable or None
-        For ``MultilayerSubtractor(tracks=…)``.
-    followed : sequence of FollowedFrame
+    flow, tracks : callable or None
+        For ``MultilayerSubtractor(flow=…, tracks=…)``; None without a folder.
+    followed : tuple of FollowedFrame
         The newest frames, oldest first: all that it remembers.
 
     Examples
@@ -89,12 +87,26 @@ class StoredMotion:
 
     @property
     def flow(self) -> Callable[[Array, Array], Array] | None:
-        """The flow function."""
+        """For ``MultilayerSubtractor(flow=…)``; None without a folder of flow.
+
+        It maps two frames, (H, W, 3) uint8, to the displacement of each pixel from the first to the second,
+        (H, W, 2) float32, x before y, px. That is 0 where the file says that it is unknown, and everywhere if
+        the frames are not neighbours or are none of :attr:`followed`.
+
+        It raises SourceError if a file is missing, cannot be read as flow, or is of another size.
+        """
         return None if self._flow is None else self._stored_flow
 
     @property
     def tracks(self) -> Callable[[Array, Array, Array], tuple[Array, Array]] | None:
-        """The tracks function."""
+        """For ``MultilayerSubtractor(tracks=…)``; None without a folder of tracks.
+
+        It maps two frames, (H, W, 3) uint8, and points of the first, (n, 2) float32, (x, y) in px, to their
+        places in the second, (n, 2) float32, and to whether they are seen there, (n,) bool: none is if a
+        frame is not of :attr:`followed`, nor is a point with no stored one within 4 px.
+
+        It raises SourceError if the file is missing, cannot be read as tracks, or has fewer frames.
+        """
         return None if self._tracks is None else self._stored_tracks
 
     @property
@@ -104,7 +116,10 @@ class StoredMotion:
 
     @property
     def followed(self) -> tuple[FollowedFrame, ...]:
-        """The newest frames, oldest first."""
+        """The newest 64 frames, oldest first. May be set, to go on from those that another one has followed.
+
+        Of more than 64, the newest are kept. Frames that were set are not checked against the folders.
+        """
         return tuple(self._followed)
 
     @followed.setter
@@ -121,11 +136,12 @@ class StoredMotion:
         stem : str
             Of its name.
         frame : (H, W, 3) uint8
+            As the functions are given it: BGR.
 
         Raises
         ------
         SourceError
-            If there is nothing of this video in a folder.
+            At the first one, if a folder has nothing of this video, or its tracks cannot be read.
         """
         if not self._followed:
             self._check()
