@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mlbs_actors.array_files import load_array, load_arrays
 from mlbs_actors.errors import SourceError
 from mlbs_actors.messages import Array
 
@@ -64,11 +65,9 @@ class StoredMotion:
 
     Attributes
     ----------
-    flow : callable or None
-        For ``MultilayerSubtractor(flow=…)``; None without a folder.
-    tracks : callable or None
-        For ``MultilayerSubtractor(tracks=…)``.
-    followed : sequence of FollowedFrame
+    flow, tracks : callable or None
+        For ``MultilayerSubtractor(flow=…, tracks=…)``; None without a folder.
+    followed : tuple of FollowedFrame
         The newest frames, oldest first: all that it remembers.
 
     Examples
@@ -88,12 +87,26 @@ class StoredMotion:
 
     @property
     def flow(self) -> Callable[[Array, Array], Array] | None:
-        """The flow function."""
+        """For ``MultilayerSubtractor(flow=…)``; None without a folder of flow.
+
+        It maps two frames, (H, W, 3) uint8, to the displacement of each pixel from the first to the second,
+        (H, W, 2) float32, x before y, px. That is 0 where the file says that it is unknown, and everywhere if
+        the frames are not neighbours or are none of :attr:`followed`.
+
+        It raises SourceError if a file is missing, cannot be read as flow, or is of another size.
+        """
         return None if self._flow is None else self._stored_flow
 
     @property
     def tracks(self) -> Callable[[Array, Array, Array], tuple[Array, Array]] | None:
-        """The tracks function."""
+        """For ``MultilayerSubtractor(tracks=…)``; None without a folder of tracks.
+
+        It maps two frames, (H, W, 3) uint8, and points of the first, (n, 2) float32, (x, y) in px, to their
+        places in the second, (n, 2) float32, and to whether they are seen there, (n,) bool: none is if a
+        frame is not of :attr:`followed`, nor is a point with no stored one within 4 px.
+
+        It raises SourceError if the file is missing, cannot be read as tracks, or has fewer frames.
+        """
         return None if self._tracks is None else self._stored_tracks
 
     @property
@@ -103,7 +116,10 @@ class StoredMotion:
 
     @property
     def followed(self) -> tuple[FollowedFrame, ...]:
-        """The newest frames, oldest first."""
+        """The newest 64 frames, oldest first. May be set, to go on from those that another one has followed.
+
+        Of more than 64, the newest are kept. Frames that were set are not checked against the folders.
+        """
         return tuple(self._followed)
 
     @followed.setter
@@ -120,11 +136,12 @@ class StoredMotion:
         stem : str
             Of its name.
         frame : (H, W, 3) uint8
+            As the functions are given it: BGR.
 
         Raises
         ------
         SourceError
-            If there is nothing of this video in a folder.
+            At the first one, if a folder has nothing of this video, or its tracks cannot be read.
         """
         if not self._followed:
             self._check()
@@ -193,11 +210,10 @@ class StoredMotion:
             "--tracks needs NAME.npz with tracks (frames, points, 2) float and visible (frames, points) bool"
         )
         try:
-            with np.load(path) as stored:
-                tracks, visible = stored["tracks"], stored["visible"]
+            tracks, visible = load_arrays(path, "tracks", "visible")
         except FileNotFoundError:
             raise SourceError(f"There are no tracks in {path}; {expected}.") from None
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError) as error:
             raise SourceError(f"{path} cannot be read as tracks: {error}; {expected}.") from error
         is_float = np.issubdtype(tracks.dtype, np.floating)
         if tracks.ndim != 3 or tracks.shape[2] != 2 or not is_float or visible.dtype != bool:
@@ -228,7 +244,7 @@ def read_flow(path: Path) -> Array:
         If it is not readable as flow.
     """
     try:
-        flow = np.load(path) if path.suffix == ".npy" else _read_flo(path.read_bytes())
+        flow = load_array(path) if path.suffix == ".npy" else _read_flo(path.read_bytes())
     except (OSError, ValueError) as error:
         raise SourceError(f"{path} cannot be read as flow: {error}.") from error
     if flow.ndim != 3 or flow.shape[2] != 2 or not np.issubdtype(flow.dtype, np.floating):

@@ -6,6 +6,8 @@ import gc
 import logging
 import os
 import secrets
+import signal
+import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,8 +22,11 @@ from whole_run import FinishedRun, run_mixed_sources
 
 from mlbs_actors.actors.node.pool import PoolPolicy
 from mlbs_actors.actors.pipeline import Node
+from orchestrator.early_signals import exit_on_signals
+from orchestrator.interruption import Interruption
 
 _OBJECT_STORE_BYTES = 100_000_000
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 # How long an example takes says nothing on a machine that does other things, too.
 settings.register_profile("untimed", deadline=None)
@@ -76,6 +81,20 @@ def finished_run(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
 def clip() -> LabelledClip:
     """Forty frames of a moving camera and two moving objects, as the engine labels them."""
     return LabelledClip.of("demo", frames=40, width=320, height=240)
+
+
+@pytest.fixture
+def signals_exit() -> Iterator[None]:
+    """Let SIGINT and SIGTERM do what they do in the command once its streams have ended."""
+    handlers, hook = {number: signal.getsignal(number) for number in _SIGNALS}, sys.unraisablehook
+    exit_on_signals()
+    with Interruption(lambda words: None):
+        pass
+    yield
+    exit_on_signals()  # which forgets the signals of the test
+    sys.unraisablehook = hook
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture

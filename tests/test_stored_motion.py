@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import struct
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +155,48 @@ def test_what_are_no_tracks_is_told_with_what_is_expected(
     stored = StoredMotion("set/clip", tracks=tmp_path)
     with pytest.raises(SourceError, match=complaint + r"(.|\n)*tracks \(frames, points, 2\) float"):
         stored.follow(0, "00000", made.frame(0))
+
+
+def damaged(content: bytes) -> Iterator[bytes]:
+    """A file that ends early, and one with a byte that is another one, at many places."""
+    for end in range(0, len(content), 7):
+        yield content[:end]
+        yield content[:end] + bytes([content[end] ^ 0x2A]) + content[end + 1 :]
+
+
+@pytest.mark.parametrize("write", [np.savez, np.savez_compressed])
+def test_damaged_tracks_are_told_whatever_is_wrong_with_them(
+    tmp_path: Path, made: SyntheticScene, write: Callable[..., None]
+) -> None:
+    path = tmp_path / "clip.npz"
+    write(path, tracks=np.zeros((2, 3, 2), np.float32), visible=np.ones((2, 3), bool))
+    single = io.BytesIO()
+    np.save(single, np.zeros((2, 3, 2), np.float32))
+    told = set()
+    for content in [*damaged(path.read_bytes()), single.getvalue()]:
+        path.write_bytes(content)
+        try:
+            StoredMotion("clip", tracks=tmp_path).follow(0, "00000", made.frame(0))
+        except SourceError as error:
+            told.add(str(error))
+    assert len(told) > 10
+    assert all(words.startswith(f"{path} ") and "visible (frames, points) bool" in words for words in told)
+    assert any("it is a single array" in words for words in told)
+
+
+@pytest.mark.filterwarnings("ignore:Reading `.npy`")  # a header that is nearly one of Python 2
+def test_damaged_flow_is_told_whatever_is_wrong_with_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    write_npy(path, constant(1)[:2, :3])
+    told = set()
+    for content in damaged(path.read_bytes()):
+        path.write_bytes(content)
+        try:
+            read_flow(path)
+        except SourceError as error:
+            told.add(str(error))
+    assert len(told) > 10
+    assert all(str(path) in words for words in told)
 
 
 def test_frames_beyond_the_stored_tracks_are_told(tmp_path: Path, made: SyntheticScene) -> None:

@@ -92,7 +92,16 @@ def draw_labels(
 
 
 def draw_caption(image: Array, text: str) -> None:
-    """Write a line into the picture's upper left corner, in place; one too long for it in smaller letters."""
+    """Write a line into the picture's upper left corner; one that is too long for it in smaller letters.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        BGR; drawn on in place.
+    text : str
+        White with a black rim. Letters have a 28th of the shorter side's height, at least 12 px, and for a
+        long line 6 px at least; what does not fit even so is cut off.
+    """
     usual = _text_height(image)
     heights = range(usual, _LEAST_CAPTION_PX - 1, -1)
     fitting = (height for height in heights if _stencil(text, height)[0].shape[1] <= image.shape[1])
@@ -100,7 +109,15 @@ def draw_caption(image: Array, text: str) -> None:
 
 
 def draw_outlines(image: Array, outlines: Iterable[Outline]) -> None:
-    """Draw thin outlines and lines with their names, in place."""
+    """Draw thin outlines and lines, white with a black rim, with their names in the middle.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        BGR, C-contiguous or a rectangle of such a picture; drawn on in place.
+    outlines : iterable of Outline
+        Those that do not reach into the picture are left out.
+    """
     for outline in outlines:
         farthest = 10 * max(
             image.shape
@@ -115,7 +132,19 @@ def draw_outlines(image: Array, outlines: Iterable[Outline]) -> None:
 
 
 def draw_box(image: Array, box: tuple[int, int, int, int], layer: int, *, ids: bool = True) -> None:
-    """Draw a box (left, top, width, height, px) in the colour of a layer, with its id above, in place."""
+    """Draw a box in the colour of a layer, with its id above it, or below where there is no room.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        BGR, C-contiguous or a rectangle of such a picture; drawn on in place.
+    box : tuple of int
+        Left, top, width and height, px; it may reach beyond the picture.
+    layer : int
+        Its id, whose colour is that of :mod:`mlbs_actors.pictures.layer_colours`.
+    ids : bool
+        Whether the id is written.
+    """
     left, top, width, height = box
     line = max(1, round(min(image.shape[:2]) * _LINE_PX))
     for colour, thickness in (((0, 0, 0), 3 * line + 1), (layer_colour(layer), line + 1)):

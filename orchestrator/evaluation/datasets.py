@@ -85,10 +85,16 @@ def _names_of(text: str, data: Path | None) -> list[str]:
 def open_sequence(name: str, root: Path | None) -> Sequence:
     """Open ``synthetic:NAME?…``, or the sequence of that name below the root.
 
+    Parameters
+    ----------
+    name : str
+    root : Path or None
+        None for the folder that the environment variable ``MLBS_DATA`` names. Scenes need none.
+
     Raises
     ------
     ConfigError
-        If there is no such scene or sequence.
+        If there is no such scene or sequence, or no root to look below.
     SourceError
         If its folders cannot be used.
     """

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mlbs_actors.array_files import load_array
 from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.messages import Array
 from mlbs_actors.scenes.synthetic import SCHEME
@@ -165,7 +166,7 @@ def _whole(path: Path, frames: int) -> Array:
 
 def _loaded(path: Path, dimensions: int) -> Array:
     try:
-        array: Array = np.load(path, mmap_mode="r")
+        array = load_array(path, mapped=True)
     except (OSError, ValueError) as error:
         raise SourceError(f"{path} cannot be read as a label map: {error}.") from error
     if array.ndim != dimensions or array.dtype.kind not in "iub":

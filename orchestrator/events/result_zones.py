@@ -138,7 +138,11 @@ class Zones:
         return self._happenings.after(FrameRow(index, pts, result.status, row, f"{index:05d}"), clock)
 
     def end(self) -> list[Event]:
-        """Return what is certain as the stream has come to its end: who is in a zone leaves it, and ends."""
+        """Return what is certain as the stream has come to its end: who is in a zone leaves it, and ends.
+
+        A later result of the same stream may follow, but its objects are then born anew. Another stream needs
+        zones of its own.
+        """
         return self._happenings.end()
 
 

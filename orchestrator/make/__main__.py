@@ -26,12 +26,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status: 0 made, 1 a disk error, 2 impossible."""
     given = _parser().parse_args(argv)
     try:
-        kinds = given.kind.split(",")
+        kinds = list(dict.fromkeys(given.kind.split(",")))
         if unknown := [kind for kind in kinds if kind not in KINDS]:
             raise ConfigError(f"There is no kind {unknown[0]!r}; there are {', '.join(KINDS)}.")
-        for kind in kinds:
-            for path in make(_request(given, kind), partial(print, file=sys.stderr)):
-                print(path)
+        for path in make([_request(given, kind) for kind in kinds], partial(print, file=sys.stderr)):
+            print(path)
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2

@@ -105,7 +105,7 @@ def write_clips(
     Raises
     ------
     ConfigError
-        If nothing moves.
+        If nothing moves, or no picture of it can be read again.
     """
     parts = moving_parts(footage.recorded())
     if not parts:
@@ -127,6 +127,11 @@ def write_clips(
                 at[number] = path.name, video.cut()
                 _add(video, shots, shown)
         remarks = video.remarks
+    if not at:
+        raise ConfigError(
+            f"No part in which something moves in {footage.name!r} can be read again from {footage.source}; "
+            "put it back to where it was."
+        )
     _write_table(path / "clips.csv" if apart else path.with_suffix(".csv"), parts, at)
     return remarks
 

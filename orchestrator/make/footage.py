@@ -78,7 +78,7 @@ class Footage:
     count : int
         Recorded frames in the span.
     missing : int
-        How many of these had no picture, when they were last read.
+        How many of these had no picture, as far as they were last read.
     """
 
     stream: Path
@@ -150,12 +150,14 @@ class Footage:
         missing, console = 0, Console(stderr=True)
         silent = doing is None or not console.is_terminal
         pairs = track(self._pairs(), doing or "", self.count, console=console, transient=True, disable=silent)
-        for whole, picture in pairs:
-            if picture is None or picture.shape[:2] != (whole.height, whole.width):
-                missing += 1
-            else:
-                yield Shot(self.chosen.of_frame(whole), whole, picture)
-        self.missing = missing
+        try:
+            for whole, picture in pairs:
+                if picture is None or picture.shape[:2] != (whole.height, whole.width):
+                    missing += 1
+                else:
+                    yield Shot(self.chosen.of_frame(whole), whole, picture)
+        finally:  # also if no more is asked for
+            self.missing = missing
         if missing == self.count:
             raise ConfigError(
                 f"{self.source}, the source of {self.name!r}, cannot be read again in the size recorded; put "

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import av.error
@@ -25,6 +26,9 @@ __all__ = ["MADE", "Place", "Request", "make"]
 
 #: Folder of what is made, in that of the stream.
 MADE = "made"
+
+#: File in each folder that is made elsewhere; without it none is removed there to make room for a new one.
+_MARK = ".mlbs-actors-made"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +56,8 @@ class Request:
     kind : str
     run : Path
     out : Path, optional
-        A file, if it has an ending, else a folder; by default the folder ``made`` of each stream.
+        A file, if it has an ending, else a folder to put it into; by default the folder ``made`` of each
+        stream. Of what is made as a folder (see :func:`~.kinds.files_of`) the name without its ending.
     suffix : str, optional
         Ending of the file, if ``out`` has none.
     stream : str, optional
@@ -65,7 +70,7 @@ class Request:
     span : Span
     manner : Manner
     replace : bool
-        Whether files that are there already are replaced.
+        Whether files that are there already are replaced, and folders that this has made.
     """
 
     kind: str
@@ -81,12 +86,39 @@ class Request:
     replace: bool = False
 
 
-def make(request: Request, say: Callable[[str], None]) -> Iterator[Path]:
-    """Make what is asked for of every stream, or of one.
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """A request that can be tried.
+
+    Attributes
+    ----------
+    request : Request
+    sources : mapping of str to str
+        Streams → their sources.
+    places : mapping of str to Place
+        Streams → where to put what is made of them; what is there may be replaced.
+    """
+
+    request: Request
+    sources: Mapping[str, str]
+    places: Mapping[str, Place]
+
+    @classmethod
+    def of(cls, request: Request) -> _Task:
+        sources = _sources(request)
+        places = {name: _place(request, name, alone=len(sources) == 1) for name in sources}
+        for place in places.values():
+            _refuse_if_there(request, place)
+        return cls(request, sources, places)
+
+
+def make(requests: Sequence[Request], say: Callable[[str], None]) -> Iterator[Path]:
+    """Make what is asked for of every stream, or of one; nothing unless each request can be tried.
 
     Parameters
     ----------
-    request : Request
+    requests : sequence of Request
+        Of one run.
     say : callable
         Is told what is missing, and why.
 
@@ -98,22 +130,32 @@ def make(request: Request, say: Callable[[str], None]) -> Iterator[Path]:
     Raises
     ------
     ConfigError
-        If it cannot be made of any stream, or is there already.
+        If it is there already, or two requests have one place; or at last, if one could not be made of any
+        stream.
     OSError
         If it cannot be written.
     """
-    sources, private = _sources(request), is_private(description_of(request.run))
-    places = {name: _place(request, name, alone=len(sources) == 1) for name in sources}
-    if not request.replace:
-        for place in places.values():
-            _refuse_if_there(request, place)
+    tasks = [_Task.of(request) for request in requests]
+    _refuse_one_place_for_two(tasks)
+    faults: list[str] = []
+    for task in tasks:
+        try:
+            yield from _made_of_streams(task, say)
+        except ConfigError as error:
+            faults.append(str(error))
+    if faults:
+        raise ConfigError(" ".join(dict.fromkeys(faults)))
+
+
+def _made_of_streams(task: _Task, say: Callable[[str], None]) -> Iterator[Path]:
+    request, private = task.request, is_private(description_of(task.request.run))
     made, faults = 0, []
-    for name, source in sources.items():
+    for name, source in task.sources.items():
         folder = request.run / name
         try:
             edits = edits_of(folder, request.edits)
             footage = Footage.of(folder, source, request.choice, request.span, edits, private=private)
-            path, remarks = _made(request, footage, places[name])
+            path, remarks = _made(request, footage, task.places[name])
         except ConfigError as error:
             faults.append(str(error))
             continue
@@ -169,26 +211,64 @@ def _place(request: Request, name: str, *, alone: bool) -> Place:
     return Place(out.parent, out.stem, out.suffix)
 
 
+def _targets(request: Request, place: Place) -> list[Path]:
+    names = files_of(request.kind, place.stem, place.suffix, request.manner)
+    return [place.folder / name for name in names]
+
+
+def _refuse_one_place_for_two(tasks: Sequence[_Task]) -> None:
+    taken: dict[Path, str] = {}
+    for task in tasks:
+        kind = task.request.kind
+        for target in chain.from_iterable(_targets(task.request, one) for one in task.places.values()):
+            if target in taken:
+                raise ConfigError(
+                    f"{taken[target]} and {kind} cannot both be written to {target}; name a folder, or make "
+                    "one of them at a time."
+                )
+            taken[target] = kind
+
+
 def _refuse_if_there(request: Request, place: Place) -> None:
-    for name in files_of(request.kind, place.stem, place.suffix, request.manner):
-        if (place.folder / name).exists():
+    """Raise ConfigError if anything is in the way that is not, or must not be, replaced."""
+    for target in _targets(request, place):
+        if not target.exists():
+            continue
+        if target.name != place.stem:
+            if target.is_dir():
+                raise ConfigError(f"{target} is a folder; name another place to write to.")
+        elif not _is_made(request, target):
             raise ConfigError(
-                f"{place.folder / name} is there already; name another place to write to, or add --replace."
+                f"{request.kind} is written to the folder {target} here, but what is there was not made by "
+                "this command, and stays; name another place to write to."
             )
+        if not request.replace:
+            raise ConfigError(f"{target} is there already; name another place to write to, or add --replace.")
+
+
+def _is_made(request: Request, folder: Path) -> bool:
+    """Whether this command has made a folder, or nothing is in it, so that it may be removed."""
+    if not folder.is_dir() or folder.is_symlink() or request.run.resolve().is_relative_to(folder.resolve()):
+        return False
+    return request.out is None or (folder / _MARK).exists() or not any(folder.iterdir())
 
 
 def _made(request: Request, footage: Footage, place: Place) -> tuple[Path, list[str]]:
     """Make one thing; what is at its place is complete or missing."""
     place.folder.mkdir(parents=True, exist_ok=True)
-    names = files_of(request.kind, place.stem, place.suffix, request.manner)
+    targets = _targets(request, place)
     with tempfile.TemporaryDirectory(dir=place.folder, prefix=f".{place.stem}.", suffix=".part") as draft:
         try:
             remarks = write(request.kind, footage, Path(draft), place.stem, place.suffix, request.manner)
         except av.error.FFmpegError as error:
-            raise ConfigError(f"{place.folder / names[0]} cannot be encoded: {reason(error)}.") from None
-        for name in names:
-            target = place.folder / name
-            if target.is_dir():
-                shutil.rmtree(target)
-            (Path(draft) / name).replace(target)
-    return place.folder / names[0], remarks
+            raise ConfigError(f"{targets[0]} cannot be encoded: {reason(error)}.") from None
+        _refuse_if_there(request, place)  # by now, as it may have taken hours
+        for target in targets:
+            made = Path(draft) / target.name
+            if made.is_dir():
+                if request.out is not None:
+                    (made / _MARK).touch()
+                if target.exists():
+                    shutil.rmtree(target)
+            made.replace(target)
+    return targets[0], remarks

@@ -20,7 +20,10 @@ def make_of_all(
     folder: RunFolder,
     say: Callable[[str], None],
 ) -> None:
-    """Make the kinds of each file that ended now, or of which they are missing; tell what cannot be made."""
+    """Make the kinds of each file that ended now, or of which they are missing; tell what cannot be made.
+
+    A signal ends it, but not the run: see :mod:`orchestrator.early_signals`.
+    """
     if not kinds:
         return
     # Imported here, because it imports the engine, which the driver needs for nothing else.
@@ -35,13 +38,13 @@ def make_of_all(
         for kind in kinds:
             if spec.name not in due and any((folder.stream(spec.name) / MADE).glob(f"{kind}.*")):
                 continue
-            say(f"Making {kind} of {spec.name}.")
             request = Request(kind, folder.path, manner, stream=spec.name, replace=True)
             try:
-                for path in make(request, say):
+                say(f"Making {kind} of {spec.name}.")
+                for path in make([request], say):
                     say(str(path))
             except ConfigError as error:
                 say(f"There is no {kind} of {spec.name}. {error}")
-            except KeyboardInterrupt:
+            except SystemExit:  # a signal; the run is complete without it
                 say(f"To make {kind} of {spec.name}, give the same command with --resume.")
                 return

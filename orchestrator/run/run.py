@@ -201,10 +201,12 @@ def run(
         states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
         try:
             status.finish(states, exit_status)
-            if arguments.save >= {"overlay", "parquet"}:
-                make_all_whole(job, {spec.name for spec in due}, states, folder, log.warn)
+            names = {spec.name for spec in due}
+            overlays = arguments.save >= {"overlay", "parquet"}
+            goes_on = not overlays or make_all_whole(job, names, states, folder, log.warn)
             replace_file(folder.path / "report.html", render_report(folder.path).encode())
-            make_of_all(arguments.make, job, {spec.name for spec in due}, states, folder, log.say)
+            if goes_on:
+                make_of_all(arguments.make, job, names, states, folder, log.say)
         except OSError as error:
             raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
     log.say(closing_words(folder, states, arguments))

@@ -28,8 +28,11 @@ def make_all_whole(
     states: Sequence[StreamState],
     folder: RunFolder,
     say: Callable[[str], None],
-) -> None:
-    """Draw anew the overlays of ended streams that are in parts or, of the streams ``due``, were lost."""
+) -> bool:
+    """Draw anew the overlays of ended streams that are in parts or, of the streams ``due``, were lost.
+
+    A signal ends it, but not the run: see :mod:`orchestrator.early_signals`. Returns whether none came.
+    """
     ended = {state.name for state in states if state.committed and has_ended(state)}
     for spec in job.specs:
         stream = folder.stream(spec.name)
@@ -38,9 +41,13 @@ def make_all_whole(
             asked = job.settings(spec.name)
             try:
                 make_whole(stream, spec.source, say, asked.rules.zones, asked.drawing)
-            except KeyboardInterrupt:
-                say("The overlay stays as it is; to try again, give the same command with --resume.")
-                return
+            except SystemExit:  # a signal; the run is complete without it
+                say(
+                    f"The overlay of {spec.name} stays as it is; to go on, give the same command with "
+                    "--resume."
+                )
+                return False
+    return True
 
 
 def is_in_parts(folder: Path) -> bool:

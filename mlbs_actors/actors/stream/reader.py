@@ -198,7 +198,7 @@ class ReadAhead:
     def _count(self, pictures: int) -> None:
         """Count pictures of earlier starts, unless there is no limit or no more is wanted."""
         if self._left:
-            self._left -= pictures
+            self._left = max(self._left - pictures, 0)  # the limit may have been a higher one
 
     def _ask(self) -> None:
         if len(self._asked) >= LEAST_ASKED:

@@ -641,6 +641,25 @@ def test_the_label_maps_of_all_starts_are_counted_together(parts: FakeParts, tmp
 
 
 @pytest.mark.usefixtures("host")
+def test_a_stream_that_has_more_label_maps_than_are_wanted_by_now_reads_no_more(
+    parts: FakeParts, tmp_path: Path
+) -> None:
+    pictures: list[Array | None] = [picture(t, live=[1]) for t in range(200)]
+    one = spec("stopped", FakeReader(pictures, tmp_path / "r"), tmp_path)
+    with started(parts) as node:
+        stream = node.start(one)
+        while stream.advance().result(timeout=200).committed < 40:
+            continue
+        interrupted = stream.stop(drain=True)
+        state = drive(node, replace(one, max_frames=20))["stopped"]
+    assert interrupted is not None
+    assert 40 <= interrupted.committed < 200
+    # It may be fewer: of the last ones, those that were labelled early are read again or not at all.
+    assert state.state == "done"
+    assert 20 <= state.committed <= interrupted.committed
+
+
+@pytest.mark.usefixtures("host")
 def test_a_drained_stream_goes_on_where_it_was_interrupted_though_frames_were_held(
     parts: FakeParts, tmp_path: Path
 ) -> None:

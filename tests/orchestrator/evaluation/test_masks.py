@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from pathlib import Path
 
@@ -111,6 +112,21 @@ def test_an_array_of_another_length_or_kind_is_refused(data: Path, tmp_path: Pat
     np.save(tmp_path / "dog.npy", np.zeros((4, HEIGHT, WIDTH), np.float32))
     with pytest.raises(SourceError, match=r"label maps are \(frames, height, width\) integers"):
         method.masks_of(sequence)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_arrays_that_are_damaged_are_told(data: Path, tmp_path: Path, whole: bool) -> None:
+    sequence = FolderSequence("set/dog", data / "set/dog/gt", data / "set/dog/frames")
+    method, maps = MaskFolder("mine", tmp_path), np.zeros((FRAMES, HEIGHT, WIDTH), np.uint8)
+    path = tmp_path / ("dog.npy" if whole else f"dog/{sequence.stems[0]}.npy")
+    path.parent.mkdir(exist_ok=True)
+    np.save(path, maps if whole else maps[0])
+    array, archive = path.read_bytes(), io.BytesIO()
+    np.savez(archive, maps)
+    for content in (b"", array[:60], array[:-3], archive.getvalue(), array.replace(b"}", b"(")):
+        path.write_bytes(content)
+        with pytest.raises(SourceError, match="cannot be read as a label map"):
+            list(method.masks_of(sequence).label_maps([0]))
 
 
 @pytest.mark.parametrize("palette", [davis_palette(), voc_colours()])

@@ -98,6 +98,17 @@ def test_what_is_said_of_results_is_what_a_run_records_of_them(
         assert {event.kind for event in said} >= {"born", "entered", "left", "crossed", "rule", "ended"}
 
 
+def test_results_after_the_end_have_objects_that_are_born_anew() -> None:
+    zones, said = Zones([MIDDLE]), list[str]()
+    for index in range(2):
+        said += [event.kind for event in zones.update(segmentation(index, 3)) if event.layer == 3]
+        said += [event.kind for event in zones.end()]
+    assert said == ["born", "ended"] * 2
+    assert zones.end() == []
+    with pytest.raises(FrameError, match="after that of frame 1"):
+        zones.update(segmentation(1, 3))
+
+
 def test_zones_are_made_of_values_too_and_read_from_a_file(tmp_path: Path) -> None:
     by_words = Zones(**SETTINGS, frame_rate=RATE)
     by_values = Zones(

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
+import signal
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -335,6 +338,97 @@ def test_what_is_there_is_replaced_only_if_that_is_asked_for(
     assert sorted(one.name for one in path.parent.iterdir()) == ["blur-3.mp4", "blur.mp4"]
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("cutout", "{0}.png"),
+        ("cutout", "{0}.mov", "--each"),
+        ("clips", "{0}.mp4", "--apart"),
+    ],
+)
+def test_a_folder_that_something_else_has_made_is_never_replaced(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    holiday = tmp_path / "holiday"
+    holiday.mkdir()
+    (holiday / "img000.png").write_bytes(b"a picture")
+    before = sorted(tmp_path.rglob("*"))
+    for folder in (holiday, run, run / "yard", tmp_path):
+        place = words[1].format(folder)
+        for more in ((), ("--replace",)):
+            assert main([words[0], str(run), place, *words[2:], *more]) == 2
+            told = capsys.readouterr().err
+            assert f"is written to the folder {folder} here" in told
+            assert "--replace" not in told
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_folder_that_was_made_before_is_replaced_wherever_it_is(run: Path, tmp_path: Path) -> None:
+    for place in ([], [str(tmp_path / "cut.png")]):
+        command = ["cutout", str(run), *place, "--format", "png"]
+        assert main(command) == 0
+        folder = tmp_path / "cut" if place else run / "yard/made/cutout"
+        assert len(list(folder.glob("*.png"))) == FRAMES
+        assert main(command) == 2
+        assert main([*command, "--replace", "--from", "30f"]) == 0
+        assert len(list(folder.glob("*.png"))) == FRAMES - 30
+        (folder / "run").mkdir()
+    # Somebody has put a run into it since.
+    within = shutil.copytree(run, tmp_path / "cut/run", dirs_exist_ok=True)
+    assert main(["cutout", str(within), str(tmp_path / "cut.png"), "--replace"]) == 2
+    assert (within / "run.json").exists()
+
+
+def test_a_file_and_a_folder_do_not_replace_each_other(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "notes").write_text("of a user")
+    assert main(["cutout", str(run), str(tmp_path / "notes.png"), "--replace"]) == 2
+    assert (tmp_path / "notes").read_text() == "of a user"
+    (tmp_path / "out/yard-blur.mp4").mkdir(parents=True)
+    assert main(["blur", str(run), str(tmp_path / "out"), "--replace"]) == 2
+    assert "yard-blur.mp4 is a folder" in capsys.readouterr().err
+    assert (tmp_path / "out/yard-blur.mp4").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("cutout,blur", "--each"), "goes with cutout only"),
+        (("sheet,melt",), "no kind 'melt'"),
+        (("sheet,blur", "--format", "png"), "blur is written as .mp4 or .mkv, not as .png"),
+        (("sheet,gif", "{out}/a.jpg"), "gif is written as .gif, not as .jpg"),
+        (("blur,overlay", "{out}/a.mp4", "--replace"), "blur and overlay cannot both be written to"),
+        (("overlay,clips", "{out}/a.mp4"), "overlay and clips cannot both be written to"),
+        (("blur,highlight", "{out}"), "yard-highlight.mp4 is there already"),
+    ],
+)
+def test_of_several_kinds_none_is_made_unless_all_can_be_tried(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], told: str
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "yard-highlight.mp4").write_bytes(b"made before")
+    assert main([words[0], str(run), *(word.format(out=out) for word in words[1:])]) == 2
+    assert told in capsys.readouterr().err
+    assert [path.read_bytes() for path in out.iterdir()] == [b"made before"]
+    assert not (run / "yard/made").exists()
+
+
+def test_a_kind_that_turns_out_impossible_does_not_prevent_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def found(index: int) -> Segmentation:
+        made_of = segmentation(index, 3)
+        return replace(made_of, layers=tuple(replace(one, state="resting") for one in made_of.layers))
+
+    run = write_run_over(tmp_path / "run", {"yard": write_pictures(tmp_path / "yard")}, found)
+    assert main(["clips,sheet,sheet", str(run)]) == 2
+    said = capsys.readouterr()
+    assert said.err == "Nothing that was asked for moves in 'yard'.\n"
+    assert said.out == f"{run}/yard/made/sheet.jpg\n"
+
+
 def test_streams_that_cannot_be_read_again_are_told_and_the_others_made(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -346,6 +440,43 @@ def test_streams_that_cannot_be_read_again_are_told_and_the_others_made(
     assert "the source of 'gone', cannot be read again" in capsys.readouterr().err
     assert main(["blur", str(run), "--stream", "gone"]) == 2
     assert not list((run / "gone/made").iterdir())  # nothing half made
+
+
+def soon_at_rest(index: int) -> Segmentation:
+    """Object 5 moves in the first 20 frames."""
+    made_of = segmentation(index, 5)
+    state: ObjectState = "moving" if index < 20 else "resting"
+    return replace(made_of, layers=tuple(replace(one, state=state) for one in made_of.layers))
+
+
+def damage(run: Path, frames: Iterable[int]) -> None:
+    """Make pictures of the source unreadable since the run."""
+    for index in frames:
+        (Path(source_of(run)) / f"img{index:03d}.png").write_bytes(b"no picture")
+
+
+@pytest.mark.parametrize(
+    "words", [("clips", "--only", "5"), ("clips", "--only", "5", "--apart"), ("gif",), ("blur",)]
+)
+def test_frames_that_cannot_be_read_again_are_told_of_every_kind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    # Neither the clips nor the animation reach the end of the video.
+    run = write_run_over(tmp_path / "run", {"yard": write_pictures(tmp_path / "yard", 520)}, soon_at_rest)
+    damage(run, range(3, 7))
+    made(run, *words)
+    assert "yard: 4 of 520 frames could not be read again and are left out." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("apart", [(), ("--apart",)])
+def test_clips_of_which_no_part_can_be_read_again_are_not_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], apart: tuple[str, ...]
+) -> None:
+    run = write_run_over(tmp_path / "run", {"yard": write_pictures(tmp_path / "yard")}, soon_at_rest)
+    damage(run, range(35))
+    assert main(["clips", str(run), *apart]) == 2
+    assert "in which something moves in 'yard' can be read again" in capsys.readouterr().err
+    assert not list((run / "yard/made").iterdir())
 
 
 @pytest.mark.parametrize(
@@ -406,6 +537,26 @@ def test_a_run_makes_what_is_asked_of_each_file_that_has_ended(tmp_path: Path) -
     ]
     assert (run / "old/made/sheet.jpg").read_bytes() == b"of the run before"
     assert sum(sentence.startswith("There is no blur of gone.") for sentence in said) == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_what_a_run_makes_but_not_the_run(
+    run: Path, monkeypatch: pytest.MonkeyPatch, signals_exit: None, number: signal.Signals
+) -> None:
+    def write_until_signalled(*given: object) -> list[str]:
+        os.kill(os.getpid(), number)
+        raise AssertionError("the signal did not come")
+
+    monkeypatch.setattr("orchestrator.make.making.write", write_until_signalled)
+    said: list[str] = []
+    job = cast(Job, SimpleNamespace(specs=[Spec("yard", live=False)]))
+    states = [StreamState("yard", "done", committed=FRAMES)]
+    make_of_all(("blur", "sheet"), job, {"yard"}, states, RunFolder(run), said.append)
+    assert said == [
+        "Making blur of yard.",
+        "To make blur of yard, give the same command with --resume.",
+    ]
+    assert not list((run / "yard/made").iterdir())
 
 
 def test_the_help_says_that_blurring_is_no_promise_of_privacy(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import av
 import numpy as np
@@ -17,11 +21,13 @@ from mlbs_actors.messages import Array
 from mlbs_actors.record.recorded_stream import recorded_stream
 from mlbs_actors.source import SourceFrame
 from orchestrator.options import recorded
+from orchestrator.pictures.content import DEFAULT_DRAWING
+from orchestrator.run.job import Job
 from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
-from orchestrator.run.whole_overlays import is_in_parts, is_lost, make_whole
-from orchestrator.sinks.overlay import overlays
+from orchestrator.run.whole_overlays import is_in_parts, is_lost, make_all_whole, make_whole
+from orchestrator.sinks.overlay import OverlayVideo, overlays
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address
 from orchestrator.sources.opening import open_reader
@@ -99,6 +105,37 @@ def test_parts_stay_if_the_source_is_gone(tmp_path: Path, source: Path) -> None:
     make_whole(folder, "/nowhere/film.mp4", said.append)
     assert "gave 0 of its 60 frames" in said[-1]
     assert {path: path.read_bytes() for path in folder.glob("*overlay*")} == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_drawing_but_not_the_run(
+    tmp_path: Path,
+    source: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    signals_exit: None,
+    number: signal.Signals,
+) -> None:
+    for name in ("yard", "gate"):
+        written(tmp_path / name, source, 45)
+        written(tmp_path / name, source)
+    before = {path: path.read_bytes() for path in tmp_path.glob("*/*overlay*")}
+
+    def add_until_signalled(*given: object) -> None:
+        os.kill(os.getpid(), number)
+        raise AssertionError("the signal did not come")
+
+    monkeypatch.setattr(OverlayVideo, "add", add_until_signalled)
+    said: list[str] = []
+    asked = SimpleNamespace(rules=SimpleNamespace(zones=()), drawing=DEFAULT_DRAWING)
+    specs = [SimpleNamespace(name=name, source=str(source), live=False) for name in ("yard", "gate")]
+    job = cast(Job, SimpleNamespace(specs=specs, settings=lambda name: asked))
+    states = [StreamState(name, "done", committed=60) for name in ("yard", "gate")]
+    assert not make_all_whole(job, {"yard", "gate"}, states, RunFolder(tmp_path), said.append)
+    assert said == [
+        "Drawing the overlay of yard anew, in one piece.",
+        "The overlay of yard stays as it is; to go on, give the same command with --resume.",
+    ]
+    assert {path: path.read_bytes() for path in tmp_path.glob("*/*overlay*")} == before
 
 
 def test_only_an_overlay_that_left_no_trace_is_lost(tmp_path: Path, source: Path) -> None:
