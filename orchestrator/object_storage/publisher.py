@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from mlbs_actors.errors import SinkError
-from orchestrator.object_storage.held_files import HeldFile, HeldFiles
+from orchestrator.object_storage.held_files import HeldFile, HeldFiles, LostFolderError
 from orchestrator.object_storage.ledger import FencedError, Ledger
 from orchestrator.object_storage.manifest import Part
 from orchestrator.object_storage.store import ObjectStore, StoreError
@@ -144,6 +144,8 @@ class Publisher:
                 f"Another run has taken {self._address} over, as this one was away for a while, so it ends "
                 "here. What it had published is kept; the other one goes on from there."
             )
+        if isinstance(self._fault, LostFolderError):
+            raise SinkError(f"{self._fault}")
         if self._fault is not None:
             raise SinkError(f"Publishing to {self._address} failed unexpectedly: {self._fault!r}.")
 
@@ -238,6 +240,9 @@ class Publisher:
             last = self._ending.is_set()
             try:
                 self.publish(last=last)
+            except LostFolderError as error:  # what is there later would not be the run either
+                self._fault = error
+                return
             except (StoreError, SinkError, OSError) as error:
                 failures += 1
                 self._note(error)

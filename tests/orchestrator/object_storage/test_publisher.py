@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from memory_store import MemoryStore
 
+from mlbs_actors.errors import SinkError
 from orchestrator.object_storage import publisher as publisher_module
 from orchestrator.object_storage.fetching import fetch
-from orchestrator.object_storage.held_files import HeldFiles
+from orchestrator.object_storage.held_files import HeldFiles, LostFolderError
 from orchestrator.object_storage.ledger import Ledger, read_standing
 from orchestrator.object_storage.manifest import OBJECTS
 from orchestrator.object_storage.publisher import Publisher
@@ -186,3 +188,58 @@ def test_what_cannot_be_read_any_more_is_taken_anew(bench: Bench) -> None:
         bench.publisher.publish()
     bench.publisher.publish()
     assert bench.found("it")["gate/overlay.note"] == b"a s"
+
+
+@pytest.mark.parametrize("lost", ["", "run.json", "gate", "gate/.generation"])
+def test_a_folder_that_has_lost_its_run_takes_nothing_from_the_store(bench: Bench, lost: str) -> None:
+    (bench.run / "run.json").write_text("{}")
+    (bench.stream / "overlay.mp4").write_bytes(bytes(300_000))
+    bench.published()
+    before = dict(bench.store.objects)
+    path = bench.run / lost
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
+    bench.publisher.start()
+    with pytest.raises(SinkError, match=r"has lost (run\.json|gate), so nothing more is published"):
+        bench.publisher.finish(20)
+    assert bench.store.objects == before
+
+
+def test_a_stream_that_was_deleted_and_begun_anew_takes_nothing_from_the_store(bench: Bench) -> None:
+    (bench.stream / ".generation").write_text("2\n")
+    (bench.stream / "overlay.mp4").write_bytes(bytes(300_000))
+    bench.published()
+    before = dict(bench.store.objects)
+    shutil.rmtree(bench.stream)
+    bench.stream.mkdir()
+    (bench.stream / ".generation").write_text("0\n")
+    with pytest.raises(LostFolderError):
+        bench.publisher.publish()
+    assert bench.store.objects == before
+
+
+def test_a_stream_that_got_another_name_is_published_under_it(bench: Bench) -> None:
+    (bench.stream / "overlay.mp4").write_bytes(bytes(300_000))
+    bench.published()
+    bench.stream.rename(bench.run / "door")
+    bench.published()
+    assert sorted(bench.found("it")) == ["door/.generation", "door/overlay.mp4"]
+
+
+def test_a_file_that_goes_while_the_folder_is_looked_at_takes_no_other_with_it(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (bench.run / "a.html").write_text("goes")
+    (bench.run / "run.json").write_text("{}")
+    link = os.link
+
+    def lose(source: Path, target: Path) -> None:
+        if source.name == "a.html":
+            source.unlink()
+        link(source, target)
+
+    monkeypatch.setattr(os, "link", lose)
+    bench.published()
+    assert sorted(bench.found("it")) == ["gate/.generation", "run.json"]
