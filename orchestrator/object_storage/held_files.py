@@ -246,7 +246,8 @@ def _of_segment(folder: Path, last: Commit, *, is_closed: bool) -> Iterator[tupl
 
 
 def _below(folder: Path) -> Iterator[tuple[Path, HeldFile]]:
-    for place, _, names in os.walk(folder):
+    for place, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not _is_draft(name))
         for name in sorted(names):
             if not _is_draft(name):
                 yield Path(place, name), _as_it_is(Path(place, name))

@@ -114,6 +114,8 @@ def test_drafts_locks_and_packets_stay_here(bench: Bench) -> None:
     (bench.stream / ".packets").mkdir()
     (bench.stream / ".packets" / "1.mkv").write_bytes(b"")
     (bench.stream / ".a.png.1234.part").write_bytes(b"")
+    (bench.stream / "made" / ".blur.k3x.part").mkdir(parents=True)
+    (bench.stream / "made" / ".blur.k3x.part" / "blur.mp4").write_bytes(b"half a video")
     (bench.run / ".lock").write_bytes(b"")
     (bench.run / ".live").mkdir()
     (bench.stream / ".objects").write_bytes(b"state")
