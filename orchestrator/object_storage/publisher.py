@@ -113,7 +113,7 @@ class Publisher:
         self._number = 0
         self._garbage: deque[_Garbage] = deque()
         self._swept = False
-        self._published_at = time.time()
+        self._published_at: float | None = None
         self._away_since: float | None = None
         self._reason = ""
         self._fault: Exception | None = None
@@ -131,7 +131,7 @@ class Publisher:
         waiting = () if due is None else [one for one in due.uploads if one.key not in self._written]
         return {
             "address": self._address,
-            "published": _iso(self._published_at),
+            "published": None if self._published_at is None else _iso(self._published_at),
             "waiting_bytes": sum(upload.size for upload in waiting),
             "away_since": None if self._away_since is None else _iso(self._away_since),
             "reason": self._reason or None,
@@ -185,9 +185,10 @@ class Publisher:
         if self._due is not None:
             self._complete(self._due, last=False)
         self._number += 1
+        moment = time.time()
         taken = self._held.take(self._known, self._copies)
         number = f"{self._ledger.epoch}.{self._number}"
-        self._due = plan(taken, self._known, self._published, self._held.path, number)
+        self._due = plan(taken, self._known, self._published, self._held.path, number, moment)
         self._complete(self._due, last=last)
         self._collect(everything=last)
 
@@ -206,7 +207,7 @@ class Publisher:
             unused += self._named.replace(self._published.pop(name, ()), after)
         self._published |= due.files
         self._known = dict(due.taken)
-        self._published_at = time.time()
+        self._published_at = due.moment
         self._let_go(unused)
 
     def _let_go(self, unused: list[str]) -> None:

@@ -245,3 +245,26 @@ def test_a_file_that_goes_while_the_folder_is_looked_at_takes_no_other_with_it(
     monkeypatch.setattr(os, "link", lose)
     bench.published()
     assert sorted(bench.found("it")) == ["gate/.generation", "run.json"]
+
+
+def test_published_is_the_moment_of_the_state_that_is_in_the_store(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [1_000.0]
+    monkeypatch.setattr(publisher_module.time, "time", lambda: now[0])
+    assert bench.publisher.figures["published"] is None
+    bench.store.go_away()
+    with pytest.raises(StoreError):
+        bench.publisher.publish()
+    bench.store.be_there()
+    now[0] = 2_000.0
+    (bench.stream / "later.png").write_bytes(b"later")
+
+    def stop(*asked: object) -> None:
+        raise OSError("no disk")
+
+    monkeypatch.setattr(HeldFiles, "take", stop)
+    with pytest.raises(OSError, match="no disk"):
+        bench.publisher.publish()
+    assert "gate/later.png" not in read_standing(bench.store).files
+    assert bench.publisher.figures["published"] == "1970-01-01T00:16:40+00:00"
