@@ -12,7 +12,6 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -37,8 +36,15 @@ _GRACE_SECONDS = 60.0
 
 _REQUESTS_AT_ONCE = 8
 
-#: How long a run that is ended at once waits for the request under way, s.
+#: How long a run that is ended at once waits for the requests under way, s.
 _ABANDON_SECONDS = 2.0
+
+#: So often in a row a stream may not let itself be taken before that is told; commits can take that long.
+_BUSY_FAILURES = 5
+
+
+class _AbandonedError(Exception):
+    """The run was ended at once."""
 
 
 @dataclass(slots=True)
@@ -134,7 +140,7 @@ class Publisher:
             "published": None if self._published_at is None else _iso(self._published_at),
             "waiting_bytes": sum(upload.size for upload in waiting),
             "away_since": None if self._away_since is None else _iso(self._away_since),
-            "reason": self._reason or None,
+            "reason": None if self._away_since is None else self._reason,
         }
 
     def check(self) -> None:
@@ -195,8 +201,7 @@ class Publisher:
     def _complete(self, due: Changes, *, last: bool) -> None:
         """Write what is missing of a publication, and make it count."""
         try:
-            with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
-                list(pool.map(self._write, due.uploads))
+            self._upload(due.uploads)
         except OSError:  # what was held cannot be read: the next publication begins anew
             self._let_go(list(self._written))
             raise
@@ -217,10 +222,36 @@ class Publisher:
         self._written = set()
         self._held.drop()
 
-    def _write(self, upload: Upload) -> None:
-        if upload.key not in self._written:
+    def _upload(self, uploads: Sequence[Upload]) -> None:
+        """Write those objects that are not written yet, until the first error.
+
+        Not by a pool: its threads are waited for when the interpreter ends, whatever is left for them to do.
+        """
+        left = deque(one for one in uploads if one.key not in self._written)
+        faults: list[BaseException] = []
+
+        def write() -> None:
+            with suppress(IndexError):  # nothing is left
+                while not (faults or self._abandoned.is_set()):
+                    self._write(left.popleft(), faults)
+
+        count = min(_REQUESTS_AT_ONCE, len(left))
+        threads = [threading.Thread(target=write, daemon=True) for _ in range(count)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        if faults:
+            raise faults[0]
+        if left:
+            raise _AbandonedError
+
+    def _write(self, upload: Upload, faults: list[BaseException]) -> None:
+        try:
             self._store.put(upload.key, upload.content(self._held.path))
             self._written.add(upload.key)
+        except BaseException as error:  # for the thread that publishes
+            faults.append(error)
 
     def _collect(self, *, everything: bool) -> None:
         """Delete objects that nobody needs; what is left of them the next start deletes."""
@@ -241,12 +272,14 @@ class Publisher:
             last = self._ending.is_set()
             try:
                 self.publish(last=last)
+            except _AbandonedError:
+                return
             except LostFolderError as error:  # what is there later would not be the run either
                 self._fault = error
                 return
             except (StoreError, SinkError, OSError) as error:
                 failures += 1
-                self._note(error)
+                self._note(error, failures)
             except Exception as error:  # FencedError, or what nobody has thought of
                 self._fault = error
                 return
@@ -260,9 +293,11 @@ class Publisher:
             if failures and self._ending.is_set():
                 time.sleep(retry_seconds(1))  # the event does not let anybody wait any more
 
-    def _note(self, error: Exception) -> None:
+    def _note(self, error: Exception, failures: int) -> None:
         self._reason = str(error).rstrip(".")
-        if self._away_since is None:
+        if isinstance(error, SinkError) and failures < _BUSY_FAILURES:
+            return
+        if self._away_since is None and not self._abandoned.is_set():
             self._away_since = time.time()
             self._say(
                 f"Nothing can be published to {self._address}: {self._reason}. The run goes on; its results "
