@@ -165,6 +165,15 @@ def test_a_folder_that_has_lost_its_run_is_refused_until_it_is_deleted(
     assert (tmp_path / "found/street/masks/img000.png").exists()
 
 
+def test_what_a_kill_left_of_fetching_and_deleting_goes(store: MemoryStore, tmp_path: Path) -> None:
+    run(asked(tmp_path / "disk"), lambda arguments: ended(arguments, interrupted=True))
+    (place,) = (path.parent for path in (tmp_path / "disk").glob("*/run"))
+    for name in (".run.k3x.part", "gone"):
+        shutil.copytree(place / "run", place / name)
+    run(asked(tmp_path / "disk", "--resume"), lambda arguments: None)
+    assert sorted(path.name for path in place.iterdir()) == [".lock", "holder", "run"]
+
+
 def test_a_holder_of_which_a_power_cut_left_nothing_is_made_anew(store: MemoryStore, tmp_path: Path) -> None:
     run(asked(tmp_path / "disk"), lambda arguments: ended(arguments, interrupted=True))
     (holder,) = (tmp_path / "disk").glob("*/holder")
