@@ -68,7 +68,7 @@ class Arguments:
         Path | None,
         Option(
             "with an object store as --output, where the run's folder is made that is published from there "
-            "(default: ~/.cache/mlbs-actors)",
+            "(default: ~/.local/state/mlbs-actors)",
             "DIR",
             read=Path,
             write=values.absolute,

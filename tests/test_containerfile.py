@@ -106,7 +106,7 @@ def test_images_install_the_wheel_with_the_tested_versions_of_their_python(stage
         [install] = (words for words in stage.all("RUN") if "pip install" in words)
         assert "--no-cache-dir" in install
         assert f"--constraint {requirements.split()[1]}" in install
-        assert "/tmp/wheels/*.whl" in install
+        assert "/tmp/wheels/*.whl)[run,headless,object-storage]" in install
         if ":3" not in stage.base:  # it brings its own Ray
             pinned = (ROOT / requirements.split()[0]).read_text(encoding="utf-8")
             ray = stage.base.rpartition(":")[2].partition("-")[0]

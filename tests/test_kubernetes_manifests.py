@@ -8,6 +8,7 @@ its schemas, which contain those of pods, services and claims, too.
 from __future__ import annotations
 
 import os
+import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -339,3 +340,14 @@ def test_the_cameras_write_to_volumes_alone() -> None:
     assert cache in mounted
     [copies] = pod["initContainers"]
     assert copies["command"][-2:] == [f"{cache}/.", copies["volumeMounts"][0]["mountPath"]]
+
+
+@pytest.mark.parametrize("name", ["kubernetes-cameras.yaml", "kuberay-job.yaml"])
+def test_the_scratch_folder_that_is_named_for_an_object_store_is_on_a_volume_of_all_pods(name: str) -> None:
+    text = (CONFIGS / name).read_text(encoding="utf-8")
+    (scratch,) = re.findall(r"--scratch[ =](\S+?),? ", text)
+    for pod in pods(name):
+        lasting = {one["name"] for one in pod["volumes"] if "persistentVolumeClaim" in one}
+        for container in pod["containers"]:
+            places = [one["mountPath"] for one in container["volumeMounts"] if one["name"] in lasting]
+            assert any(Path(scratch).is_relative_to(place) for place in places)

@@ -59,10 +59,10 @@ def scratch_place(address: StoreAddress, root: Path | None) -> Path:
     ----------
     address : StoreAddress
     root : Path, optional
-        Where such folders are; by default in the user's cache.
+        Where such folders are; by default where programs keep what must last, as a cache may be emptied.
     """
     if root is None:
-        cache = os.environ.get("XDG_CACHE_HOME")
-        root = (Path(cache) if cache else Path("~/.cache").expanduser()) / "mlbs-actors"
+        state = os.environ.get("XDG_STATE_HOME")
+        root = (Path(state) if state else Path("~/.local/state").expanduser()) / "mlbs-actors"
     name = _UNSAFE.sub("-", address.url.rpartition("/")[2])
     return root.absolute() / f"{name}-{hashlib.sha256(address.url.encode()).hexdigest()[:8]}"

@@ -4,16 +4,19 @@ It is one that a kill could have left, so that a run resumes from it as from tha
 under the lock of its commits: between two of them. They are linked, not copied, so that lasts milliseconds,
 and what is deleted or replaced meanwhile stays there. The files of the whole run are taken before those of
 the streams: as after a kill, ``status.json`` may be behind the records, but never ahead of them.
+
+A folder that has lost its run, by whatever deletes files, is no state of it: publishing that would delete the
+only copy that is left.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from mlbs_actors.errors import SinkError
 from mlbs_actors.record.commits import Commit, permanent, read_commits
@@ -21,7 +24,7 @@ from orchestrator.storage.commit_log import between_commits
 from orchestrator.storage.segments import segment_folders
 from orchestrator.storage.snapshot_folder import SNAPSHOTS
 
-__all__ = ["HeldFile", "HeldFiles"]
+__all__ = ["HeldFile", "HeldFiles", "LostFolderError"]
 
 #: In a stream's folder: locks, and a camera's own packets, which go within two minutes.
 _NOT_KEPT = (".lock", ".packets")
@@ -29,8 +32,16 @@ _NOT_KEPT = (".lock", ".packets")
 #: File by which the folder of a stream's record is known.
 _RECORD = ".generation"
 
-#: How often a stream is taken anew because files went without the lock, as snapshots do at its end.
+#: File by which the folder of a run is known.
+_RUN = "run.json"
+
+#: How often a stream is taken anew because files went without the lock, as snapshots do at its end, and the
+#: whole folder because a stream got another name.
 _ATTEMPTS = 5
+
+
+class LostFolderError(SinkError):
+    """The folder does not hold the run any more that was in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +76,16 @@ class HeldFiles:
         The run's folder.
     place : Path
         Folder on the same file system for the links; emptied.
+    published : iterable of str
+        Paths of files that are published of it.
     """
 
-    def __init__(self, run: Path, place: Path) -> None:
+    def __init__(self, run: Path, place: Path, published: Iterable[str] = ()) -> None:
         self._run = run
         self._place = place
+        names = frozenset(published)
+        self._begun = _RUN in names
+        self._generations = dict.fromkeys(_records_among(names), 0)
         shutil.rmtree(place, ignore_errors=True)
 
     def take(
@@ -87,24 +103,30 @@ class HeldFiles:
         ------
         OSError, SinkError
             If a stream does not let itself be taken, or the disk does not allow it; then nothing is held.
+            LostFolderError if the run, or a stream that it had, is there no more.
         """
-        self.drop()
         try:
-            self._place.mkdir(parents=True)
-            taken: dict[str, HeldFile] = {}
-            for name, copy in copies.items():
-                if copy(self._place / name):
-                    taken[name] = _as_it_is(self._place / name)
-            with suppress(FileNotFoundError):  # the run has not begun
-                for entry in sorted(self._run.iterdir()):
-                    if entry.is_file() and not entry.name.startswith("."):
-                        self._link(entry.name, _as_it_is(entry), known, taken)
-                for folder in sorted(path.parent for path in self._run.glob(f"*/{_RECORD}")):
-                    taken |= self._stream(folder, known)
+            for _ in range(_ATTEMPTS):
+                self.drop()
+                taken = self._whole(known, copies)
+                generations = self._generations_of(_records_among(taken))
+                missing = self._missing(taken, generations)
+                if not missing:
+                    self._begun, self._generations = _RUN in taken, generations
+                    return taken
         except BaseException:
             self.drop()
             raise
-        return taken
+        self.drop()
+        raise self._lost(missing)
+
+    def check(self) -> None:
+        """Raise LostFolderError if the run, or a stream that it had, is there no more."""
+        there = [name for name in (_RUN,) if (self._run / name).exists()]
+        records = [path.parent.name for path in self._run.glob(f"*/{_RECORD}")]
+        missing = self._missing(there, self._generations_of(records))
+        if missing:
+            raise self._lost(missing)
 
     def path(self, name: str) -> Path:
         """Return where the content of a file is that was linked; OSError in use if it was not."""
@@ -113,6 +135,45 @@ class HeldFiles:
     def drop(self) -> None:
         """Hold nothing any more."""
         shutil.rmtree(self._place, ignore_errors=True)
+
+    def _whole(
+        self, known: Mapping[str, HeldFile], copies: Mapping[str, Callable[[Path], bool]]
+    ) -> dict[str, HeldFile]:
+        self._place.mkdir(parents=True)
+        taken: dict[str, HeldFile] = {}
+        for name, copy in copies.items():
+            if copy(self._place / name):
+                taken[name] = _as_it_is(self._place / name)
+        for entry in sorted(self._run.glob("*")):
+            with suppress(FileNotFoundError):  # deleted just now
+                if entry.is_file() and not entry.name.startswith("."):
+                    self._link(entry.name, _as_it_is(entry), known, taken)
+        for folder in sorted(path.parent for path in self._run.glob(f"*/{_RECORD}")):
+            taken |= self._stream(folder, known)
+        return taken
+
+    def _generations_of(self, records: Iterable[str]) -> dict[str, int]:
+        """Return how often each stream has been opened, which only ever grows."""
+        found = {}
+        for name in records:
+            with suppress(FileNotFoundError, ValueError):
+                found[name] = int((self._run / name / _RECORD).read_text(encoding="ascii"))
+        return found
+
+    def _missing(self, there: Collection[str], generations: Mapping[str, int]) -> list[str]:
+        """Return what the run had and has no more; a stream that got another name is not missing."""
+        if self._begun and _RUN not in there:
+            return [_RUN]
+        before = self._generations
+        missing = [name for name, number in before.items() if generations.get(name, -1) < number]
+        return missing if len(missing) > len(generations.keys() - before.keys()) else []
+
+    def _lost(self, missing: Sequence[str]) -> LostFolderError:
+        return LostFolderError(
+            f"{self._run} has lost {', '.join(missing)}, so nothing more is published from it, and what is "
+            "published stays. See that its disk is there; if the files are gone, delete what is left of that "
+            "folder: the same command with --resume then goes on with what is published."
+        )
 
     def _stream(self, folder: Path, known: Mapping[str, HeldFile]) -> dict[str, HeldFile]:
         for _ in range(_ATTEMPTS):
@@ -127,7 +188,6 @@ class HeldFiles:
     def _link(
         self, name: str, held: HeldFile, known: Mapping[str, HeldFile], taken: dict[str, HeldFile]
     ) -> None:
-        taken[name] = held
         if known.get(name) != held:
             target = self._place / name
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -135,6 +195,13 @@ class HeldFiles:
                 shutil.copyfile(self._run / name, target)
             else:
                 os.link(self._run / name, target)
+        taken[name] = held
+
+
+def _records_among(names: Iterable[str]) -> list[str]:
+    """Return the streams of which the record is among these files."""
+    paths = map(PurePosixPath, names)
+    return [path.parts[0] for path in paths if len(path.parts) == 2 and path.name == _RECORD]
 
 
 def _as_it_is(path: Path, *, growing: bool = False) -> HeldFile:
@@ -179,7 +246,8 @@ def _of_segment(folder: Path, last: Commit, *, is_closed: bool) -> Iterator[tupl
 
 
 def _below(folder: Path) -> Iterator[tuple[Path, HeldFile]]:
-    for place, _, names in os.walk(folder):
+    for place, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not _is_draft(name))
         for name in sorted(names):
             if not _is_draft(name):
                 yield Path(place, name), _as_it_is(Path(place, name))

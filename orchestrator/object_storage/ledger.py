@@ -88,21 +88,27 @@ def read_standing(store: ObjectStore) -> Standing:
         if not keys:
             return Standing()
         try:
-            newest = Manifest.read(store.get(keys[-1]))
-            numbers = range(newest.since, newest.generation)
+            newest = _manifest(store, keys[-1])
+            older = map(manifest_key, range(newest.since, newest.generation))
             with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
-                contents = list(pool.map(lambda number: store.get(manifest_key(number)), numbers))
+                manifests = [*pool.map(lambda key: _manifest(store, key), older), newest]
         except MissingObjectError:
             continue  # a full one has replaced them
-        except ValueError as error:
-            raise StoreError(f"{keys[-1]} cannot be read: {error}") from None
         files: dict[str, Sequence[Part]] = {}
-        for manifest in (*map(Manifest.read, contents), newest):
+        for manifest in manifests:
             for path in manifest.gone:
                 files.pop(path, None)
             files.update(manifest.files)
         return Standing(newest.generation, newest.owner, newest.ended, files)
     raise StoreError("its manifests are replaced faster than they can be read")
+
+
+def _manifest(store: ObjectStore, key: str) -> Manifest:
+    """Read a manifest; StoreError if it is none."""
+    try:
+        return Manifest.read(store.get(key))
+    except ValueError as error:
+        raise StoreError(f"{key} cannot be read: {error}") from None
 
 
 def await_holder(
@@ -207,7 +213,7 @@ class Ledger:
         self.epoch = self._generation = self._since = found.generation + 1
         first = Manifest(self.epoch, self.epoch, me, False, self.epoch, self.files)
         key = manifest_key(self.epoch)
-        if not store.create(key, first.content()) and Manifest.read(store.get(key)) != first:
+        if not store.create(key, first.content()) and _manifest(store, key) != first:
             raise at_work(address, read_standing(store).owner)
         if store.create(key, first.content()):
             raise ConfigError(
@@ -254,14 +260,16 @@ class Ledger:
             raise FencedError
         while True:
             generation = self._generation + 1
-            after = {path: parts for path, parts in (self.files | dict(files)).items() if path not in gone}
-            full = generation - self._since >= _FULL_EVERY
-            since = generation if full else self._since
-            changed, missing = (after, ()) if full else (files, gone)
-            wanted = Manifest(generation, self.epoch, self._me, ended, since, changed, missing)
+            if generation - self._since < _FULL_EVERY:
+                wanted = Manifest(generation, self.epoch, self._me, ended, self._since, files, gone)
+            else:
+                after = self.files | dict(files)
+                for path in gone:
+                    after.pop(path, None)
+                wanted = Manifest(generation, self.epoch, self._me, ended, generation, after)
             key = manifest_key(generation)
             if not self._store.create(key, wanted.content()):
-                there = Manifest.read(self._store.get(key))
+                there = _manifest(self._store, key)
                 if there.owner != self._me or there.epoch != self.epoch:
                     self._fenced = True
                     raise FencedError

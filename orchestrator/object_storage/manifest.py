@@ -86,7 +86,7 @@ class Manifest:
         try:
             fields = json.loads(content)
             files = {path: tuple(Part(*part) for part in parts) for path, parts in fields["files"].items()}
-            return cls(**fields | {"files": files})
+            return cls(**fields | {"files": files, "gone": tuple(fields["gone"])})
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"no manifest: {error}") from None
 

@@ -12,7 +12,6 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -20,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from mlbs_actors.errors import SinkError
-from orchestrator.object_storage.held_files import HeldFile, HeldFiles
+from orchestrator.object_storage.held_files import HeldFile, HeldFiles, LostFolderError
 from orchestrator.object_storage.ledger import FencedError, Ledger
 from orchestrator.object_storage.manifest import Part
 from orchestrator.object_storage.store import ObjectStore, StoreError
@@ -37,8 +36,15 @@ _GRACE_SECONDS = 60.0
 
 _REQUESTS_AT_ONCE = 8
 
-#: How long a run that is ended at once waits for the request under way, s.
+#: How long a run that is ended at once waits for the requests under way, s.
 _ABANDON_SECONDS = 2.0
+
+#: So often in a row a stream may not let itself be taken before that is told; commits can take that long.
+_BUSY_FAILURES = 5
+
+
+class _AbandonedError(Exception):
+    """The run was ended at once."""
 
 
 @dataclass(slots=True)
@@ -113,7 +119,7 @@ class Publisher:
         self._number = 0
         self._garbage: deque[_Garbage] = deque()
         self._swept = False
-        self._published_at = time.time()
+        self._published_at: float | None = None
         self._away_since: float | None = None
         self._reason = ""
         self._fault: Exception | None = None
@@ -131,10 +137,10 @@ class Publisher:
         waiting = () if due is None else [one for one in due.uploads if one.key not in self._written]
         return {
             "address": self._address,
-            "published": _iso(self._published_at),
+            "published": None if self._published_at is None else _iso(self._published_at),
             "waiting_bytes": sum(upload.size for upload in waiting),
             "away_since": None if self._away_since is None else _iso(self._away_since),
-            "reason": self._reason or None,
+            "reason": None if self._away_since is None else self._reason,
         }
 
     def check(self) -> None:
@@ -144,6 +150,8 @@ class Publisher:
                 f"Another run has taken {self._address} over, as this one was away for a while, so it ends "
                 "here. What it had published is kept; the other one goes on from there."
             )
+        if isinstance(self._fault, LostFolderError):
+            raise SinkError(f"{self._fault}")
         if self._fault is not None:
             raise SinkError(f"Publishing to {self._address} failed unexpectedly: {self._fault!r}.")
 
@@ -183,17 +191,17 @@ class Publisher:
         if self._due is not None:
             self._complete(self._due, last=False)
         self._number += 1
+        moment = time.time()
         taken = self._held.take(self._known, self._copies)
         number = f"{self._ledger.epoch}.{self._number}"
-        self._due = plan(taken, self._known, self._published, self._held.path, number)
+        self._due = plan(taken, self._known, self._published, self._held.path, number, moment)
         self._complete(self._due, last=last)
         self._collect(everything=last)
 
     def _complete(self, due: Changes, *, last: bool) -> None:
         """Write what is missing of a publication, and make it count."""
         try:
-            with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
-                list(pool.map(self._write, due.uploads))
+            self._upload(due.uploads)
         except OSError:  # what was held cannot be read: the next publication begins anew
             self._let_go(list(self._written))
             raise
@@ -204,7 +212,7 @@ class Publisher:
             unused += self._named.replace(self._published.pop(name, ()), after)
         self._published |= due.files
         self._known = dict(due.taken)
-        self._published_at = time.time()
+        self._published_at = due.moment
         self._let_go(unused)
 
     def _let_go(self, unused: list[str]) -> None:
@@ -214,10 +222,36 @@ class Publisher:
         self._written = set()
         self._held.drop()
 
-    def _write(self, upload: Upload) -> None:
-        if upload.key not in self._written:
+    def _upload(self, uploads: Sequence[Upload]) -> None:
+        """Write those objects that are not written yet, until the first error.
+
+        Not by a pool: its threads are waited for when the interpreter ends, whatever is left for them to do.
+        """
+        left = deque(one for one in uploads if one.key not in self._written)
+        faults: list[BaseException] = []
+
+        def write() -> None:
+            with suppress(IndexError):  # nothing is left
+                while not (faults or self._abandoned.is_set()):
+                    self._write(left.popleft(), faults)
+
+        count = min(_REQUESTS_AT_ONCE, len(left))
+        threads = [threading.Thread(target=write, daemon=True) for _ in range(count)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        if faults:
+            raise faults[0]
+        if left:
+            raise _AbandonedError
+
+    def _write(self, upload: Upload, faults: list[BaseException]) -> None:
+        try:
             self._store.put(upload.key, upload.content(self._held.path))
             self._written.add(upload.key)
+        except BaseException as error:  # for the thread that publishes
+            faults.append(error)
 
     def _collect(self, *, everything: bool) -> None:
         """Delete objects that nobody needs; what is left of them the next start deletes."""
@@ -238,9 +272,14 @@ class Publisher:
             last = self._ending.is_set()
             try:
                 self.publish(last=last)
+            except _AbandonedError:
+                return
+            except LostFolderError as error:  # what is there later would not be the run either
+                self._fault = error
+                return
             except (StoreError, SinkError, OSError) as error:
                 failures += 1
-                self._note(error)
+                self._note(error, failures)
             except Exception as error:  # FencedError, or what nobody has thought of
                 self._fault = error
                 return
@@ -254,9 +293,11 @@ class Publisher:
             if failures and self._ending.is_set():
                 time.sleep(retry_seconds(1))  # the event does not let anybody wait any more
 
-    def _note(self, error: Exception) -> None:
+    def _note(self, error: Exception, failures: int) -> None:
         self._reason = str(error).rstrip(".")
-        if self._away_since is None:
+        if isinstance(error, SinkError) and failures < _BUSY_FAILURES:
+            return
+        if self._away_since is None and not self._abandoned.is_set():
             self._away_since = time.time()
             self._say(
                 f"Nothing can be published to {self._address}: {self._reason}. The run goes on; its results "

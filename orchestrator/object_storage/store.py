@@ -41,7 +41,7 @@ class ObjectStore(Protocol):
     """
 
     def put(self, key: str, content: Content) -> None:
-        """Write an object."""
+        """Write an object; what its content raises is passed on as it is."""
 
     def create(self, key: str, content: bytes) -> bool:
         """Write an object unless there is one of that key; return whether it was written."""
@@ -103,8 +103,22 @@ class _RemoteStore:
         self._exists = (AlreadyExistsError, PreconditionError)
 
     def put(self, key: str, content: Content) -> None:
-        with _faults(key):
-            self._call.put(self._store, key, content)
+        faults: list[Exception] = []
+
+        def pieces(content: Iterator[bytes]) -> Iterator[bytes]:
+            try:
+                yield from content
+            except Exception as error:
+                faults.append(error)
+                raise
+
+        try:
+            with _faults(key):
+                self._call.put(self._store, key, content if isinstance(content, bytes) else pieces(content))
+        except StoreError:
+            if faults:
+                raise faults[0] from None
+            raise
 
     def create(self, key: str, content: bytes) -> bool:
         with _faults(key):

@@ -80,6 +80,8 @@ class Changes:
     ----------
     taken : mapping of str to HeldFile
         That state.
+    moment : float
+        Of that state, s since 1970: all that was committed until then is in it.
     files : mapping of str to tuple of Part
         Of the files that are other ones than those that count.
     gone : tuple of str
@@ -88,6 +90,7 @@ class Changes:
     """
 
     taken: Mapping[str, HeldFile]
+    moment: float
     files: Mapping[str, Sequence[Part]]
     gone: tuple[str, ...]
     uploads: tuple[Upload, ...]
@@ -99,6 +102,7 @@ def plan(
     published: Mapping[str, Sequence[Part]],
     path: Callable[[str], Path],
     number: str,
+    moment: float,
 ) -> Changes:
     """Work out what is to be written.
 
@@ -114,6 +118,8 @@ def plan(
         Returns where the content of a file is; only asked for files that are not known so.
     number : str
         ``EPOCH.N``, not used before.
+    moment : float
+        When taking them began, s since 1970.
     """
     kept: dict[str, tuple[Part, ...]] = {}
     pieces: list[_Piece] = []
@@ -133,7 +139,7 @@ def plan(
     for upload in uploads:
         for piece in upload.pieces:
             kept[piece.name] += (Part(upload.key, piece.place, piece.size, piece.digest),)
-    return Changes(taken, kept, tuple(published.keys() - taken.keys()), uploads)
+    return Changes(taken, moment, kept, tuple(published.keys() - taken.keys()), uploads)
 
 
 def digest_of(pieces: Iterator[bytes]) -> str:

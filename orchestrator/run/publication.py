@@ -17,13 +17,14 @@ from filelock import FileLock, Timeout
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.log import Log
 from orchestrator.object_storage.fetching import fetch_files
-from orchestrator.object_storage.held_files import HeldFiles
+from orchestrator.object_storage.held_files import HeldFiles, LostFolderError
 from orchestrator.object_storage.ledger import FencedError, Ledger, Standing, at_work, await_holder
 from orchestrator.object_storage.publisher import Publisher
 from orchestrator.object_storage.store import ObjectStore, StoreError, open_store
 from orchestrator.options import Arguments
 from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.stream_state import StreamState, has_ended
+from orchestrator.storage.durable_files import replace_file
 
 __all__ = ["Publication"]
 
@@ -32,6 +33,9 @@ _PATIENCE_SECONDS, _IMPATIENCE_SECONDS = 600.0, 20.0
 
 #: File with what tells the holder of this scratch folder from all others.
 _HOLDER = "holder"
+
+#: Name of a run's folder while it is deleted.
+_GONE = "gone"
 
 
 class Publication:
@@ -119,7 +123,8 @@ class Publication:
             self._publisher.finish(_PATIENCE_SECONDS if kind is None else _IMPATIENCE_SECONDS)
             states = RunFolder(self._folder).states().values()
             if kind is None and all(map(has_ended, states)):  # nothing is left to go on with
-                shutil.rmtree(self._folder, ignore_errors=True)
+                with suppress(OSError):
+                    _remove(self._folder)
 
     def _held(self, place: Path, address: str) -> str:
         """Keep other runs out of the scratch folder; return who holds it."""
@@ -130,8 +135,8 @@ class Publication:
         except Timeout:
             raise at_work(address, "on this machine") from None
         holder = place / _HOLDER
-        if not holder.exists():
-            holder.write_text(f"{socket.gethostname()} {secrets.token_hex(8)}", encoding="utf-8")
+        if not holder.exists() or not holder.stat().st_size:
+            replace_file(holder, f"{socket.gethostname()} {secrets.token_hex(8)}".encode())
         return holder.read_text(encoding="utf-8")
 
     def _begin(self, store: ObjectStore, me: str, address: str, asked: Arguments, log: Log) -> None:
@@ -142,13 +147,19 @@ class Publication:
                 "with --resume."
             )
         self._folder = asked.output
-        if found.owner != me:
-            shutil.rmtree(self._folder, ignore_errors=True)
+        _remove_leftovers(self._folder.parent)
+        # An address without a generation may have been emptied: then this folder is the only copy.
+        if found.owner != me and found.generation > 0:
+            _remove(self._folder)
         self._ledger = Ledger(store, found, me, address)
         self._hold.callback(self._ledger.close)
         if not self._folder.exists():
             self._fetch(store, found, log, address)
-        held = HeldFiles(self._folder, self._folder.with_name("held"))
+        held = HeldFiles(self._folder, self._folder.with_name("held"), found.files)
+        try:
+            held.check()
+        except LostFolderError as error:
+            raise ConfigError(f"{error}") from None
         self._prepared = partial(Publisher, store, self._ledger, held, address, log.warn)
 
     def _fetch(self, store: ObjectStore, found: Standing, log: Log, address: str) -> None:
@@ -158,3 +169,20 @@ class Publication:
                 f"Fetching what was published at {address}: {len(found.files)} files, {size / 1e6:,.0f} MB."
             )
         fetch_files(store, found.files, self._folder, durable=True)
+
+
+def _remove(folder: Path) -> None:
+    """Delete a run's folder; OSError if it is still there. A kill leaves all of it or nothing."""
+    if folder.exists():
+        gone = folder.with_name(_GONE)
+        folder.rename(gone)
+        shutil.rmtree(gone, ignore_errors=True)
+
+
+def _remove_leftovers(place: Path) -> None:
+    """Delete from the scratch folder what a kill has left of fetching and deleting."""
+    for path in (place / _GONE, *place.glob(".*.part")):
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)

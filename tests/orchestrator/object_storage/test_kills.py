@@ -42,7 +42,7 @@ class Node:
         self._ledger = Ledger(store, found, name, "memory")
         try:
             fetch_files(store, found.files, self.run)
-            held = HeldFiles(self.run, disk / "held")
+            held = HeldFiles(self.run, disk / "held", found.files)
             self.publisher = Publisher(store, self._ledger, held, "memory", lambda text: None, {})
         except BaseException:
             self.stop()

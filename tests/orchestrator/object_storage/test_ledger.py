@@ -11,7 +11,7 @@ from mlbs_actors.errors import ConfigError
 from orchestrator.object_storage import ledger as ledger_module
 from orchestrator.object_storage.held_files import HeldFiles
 from orchestrator.object_storage.ledger import FencedError, Ledger, await_holder, read_standing
-from orchestrator.object_storage.manifest import MANIFESTS, OBJECTS, Part
+from orchestrator.object_storage.manifest import MANIFESTS, OBJECTS, Manifest, Part, manifest_key
 from orchestrator.object_storage.publisher import Publisher
 from orchestrator.object_storage.store import StoreError
 
@@ -119,6 +119,67 @@ def test_a_generation_of_which_nothing_was_heard_counts_once() -> None:
     ledger.add({"b": TWO}, ())
     assert read_standing(store).files == {"a": ONE, "b": TWO}
     assert read_standing(store).generation == 3
+    store.after = lose_the_answer
+    with pytest.raises(StoreError):
+        ledger.add({}, ["a"])
+    store.be_there()
+    ledger.add({}, ["a"])
+    assert read_standing(store).files == {"b": TWO}
+    assert read_standing(store).generation == 4
+    ledger.close()
+
+
+def test_a_start_of_which_the_first_answer_was_lost_has_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    store, answers = MemoryStore(), list[bool]()
+    create = store.create
+
+    def ask_twice(key: str, content: bytes) -> bool:
+        answers.append(create(key, content))
+        return len(answers) > 1 and answers[-1]
+
+    monkeypatch.setattr(store, "create", ask_twice)
+    ledger = take(store, "first")
+    assert answers == [True, False]
+    assert read_standing(store).owner == "first"
+    ledger.close()
+
+
+def test_a_manifest_is_read_as_it_was_written() -> None:
+    for manifest in (
+        Manifest(1, 1, "me", False, 1),
+        Manifest(3, 2, "me", True, 2, {"a": ONE + TWO}, ("b", "c")),
+    ):
+        assert Manifest.read(manifest.content()) == manifest
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_damaged_manifest_is_named(number: int) -> None:
+    store = MemoryStore()
+    ledger = take(store, "first")
+    ledger.add({"a": ONE}, ())
+    ledger.add({"b": TWO}, ())
+    ledger.close()
+    store.objects[manifest_key(number)] = b"{"
+    with pytest.raises(StoreError, match=f"manifests/00000000000{number}.json cannot be read"):
+        read_standing(store)
+
+
+def test_deleting_many_of_many_files_compares_each_once() -> None:
+    compared = [0]
+
+    class Name(str):
+        __slots__ = ()
+        __hash__ = str.__hash__
+
+        def __eq__(self, other: object) -> bool:
+            compared[0] += 1
+            return str.__eq__(self, other)
+
+    ledger = take(MemoryStore(), "first")
+    ledger.add({f"{number}": ONE for number in range(300)}, ())
+    ledger.add({}, [Name(number) for number in range(200)])
+    assert sorted(ledger.files) == [f"{number}" for number in range(200, 300)]
+    assert compared[0] <= 400
     ledger.close()
 
 

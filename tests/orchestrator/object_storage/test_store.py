@@ -97,3 +97,13 @@ def test_an_address_is_read_and_has_a_place_of_its_own() -> None:
     root = Path("/disk")
     assert scratch_place(one, root).name.startswith("gate-")
     assert scratch_place(one, root) != scratch_place(other, root)
+
+
+def test_a_run_works_where_no_cache_is_emptied(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "/cache")
+    monkeypatch.setenv("XDG_STATE_HOME", "/state")
+    assert scratch_place(StoreAddress("s3://bucket/run"), None).parent == Path("/state/mlbs-actors")
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setenv("HOME", "/home/somebody")
+    parent = scratch_place(StoreAddress("s3://bucket/run"), None).parent
+    assert parent == Path("/home/somebody/.local/state/mlbs-actors")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -122,6 +123,63 @@ def test_a_folder_that_somebody_else_has_gone_on_from_is_left_for_what_is_publis
         assert (arguments.output / "report.html").read_text() == "of the other one"
 
     run(asked(tmp_path / "disk", "--resume"), look)
+
+
+def test_an_emptied_address_gets_the_run_that_is_still_on_the_disk(
+    store: MemoryStore, tmp_path: Path
+) -> None:
+    run(asked(tmp_path / "disk"), lambda arguments: ended(arguments, interrupted=True))
+    store.objects.clear()
+    run(asked(tmp_path / "disk", "--resume"), lambda arguments: None)
+    fetch(store, tmp_path / "found")
+    assert (tmp_path / "found/street/masks/img000.png").exists()
+
+
+def test_a_folder_of_before_that_cannot_be_deleted_is_not_gone_on_with(
+    store: MemoryStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(asked(tmp_path / "disk"), lambda arguments: ended(arguments, interrupted=True))
+    run(asked(tmp_path / "other", "--resume"), lambda arguments: None)
+    before = dict(store.objects)
+
+    def refuse(path: Path, target: Path) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(ConfigError, match=r"cannot be written to: Operation not permitted; .* --scratch"):
+        run(asked(tmp_path / "disk", "--resume"), lambda arguments: None)
+    assert store.objects == before
+
+
+def test_a_folder_that_has_lost_its_run_is_refused_until_it_is_deleted(
+    store: MemoryStore, tmp_path: Path
+) -> None:
+    run(asked(tmp_path / "disk"), lambda arguments: ended(arguments, interrupted=True))
+    (folder,) = (path.parent for path in (tmp_path / "disk").glob("*/run/street"))
+    shutil.rmtree(folder / "street")
+    with pytest.raises(ConfigError, match="has lost street"):
+        run(asked(tmp_path / "disk", "--resume"), lambda arguments: None)
+    shutil.rmtree(folder)
+    run(asked(tmp_path / "disk", "--resume"), lambda arguments: None)
+    fetch(store, tmp_path / "found")
+    assert (tmp_path / "found/street/masks/img000.png").exists()
+
+
+def test_what_a_kill_left_of_fetching_and_deleting_goes(store: MemoryStore, tmp_path: Path) -> None:
+    run(asked(tmp_path / "disk"), lambda arguments: ended(arguments, interrupted=True))
+    (place,) = (path.parent for path in (tmp_path / "disk").glob("*/run"))
+    for name in (".run.k3x.part", "gone"):
+        shutil.copytree(place / "run", place / name)
+    run(asked(tmp_path / "disk", "--resume"), lambda arguments: None)
+    assert sorted(path.name for path in place.iterdir()) == [".lock", "holder", "run"]
+
+
+def test_a_holder_of_which_a_power_cut_left_nothing_is_made_anew(store: MemoryStore, tmp_path: Path) -> None:
+    run(asked(tmp_path / "disk"), lambda arguments: ended(arguments, interrupted=True))
+    (holder,) = (tmp_path / "disk").glob("*/holder")
+    holder.write_bytes(b"")
+    run(asked(tmp_path / "disk", "--resume"), lambda arguments: None)
+    assert read_standing(store).owner == holder.read_text() != ""
 
 
 def test_an_address_that_holds_a_run_is_refused_without_resume(store: MemoryStore, tmp_path: Path) -> None:
