@@ -14,11 +14,12 @@ from functools import partial
 
 from mlbs_actors.actors.node.host import Handle
 from mlbs_actors.actors.node.processes import get
-from mlbs_actors.actors.stream.protocol import Opening, Snapshot, StreamSink, StreamSpec
+from mlbs_actors.actors.stream.protocol import Snapshot, StreamSink, StreamSpec
 from mlbs_actors.messages import LayerAppearance, Segmentation
 from mlbs_actors.source import GapStatus, SourceFrame
 from orchestrator.library.result import StreamResult
 from orchestrator.library.result_queue import Numbered
+from orchestrator.sinks.outer_record import OuterRecord
 from orchestrator.sinks.record import ends_group
 from orchestrator.working_size import enlarged
 
@@ -30,7 +31,7 @@ def delivered(spec: StreamSpec, queue: Handle) -> StreamSpec:
     return replace(spec, open_sink=partial(DeliveredRecord, spec.open_sink, spec.name, queue, live=spec.live))
 
 
-class DeliveredRecord:
+class DeliveredRecord(OuterRecord):
     """Writes a record, and hands over its results.
 
     Parameters
@@ -53,7 +54,7 @@ class DeliveredRecord:
     def __init__(
         self, open_record: Callable[[], StreamSink], name: str, queue: Handle, *, live: bool = False
     ) -> None:
-        self._record = open_record()
+        super().__init__(open_record)
         self._name = name
         self._queue = queue
         self._live = live
@@ -61,11 +62,6 @@ class DeliveredRecord:
         self._label_maps = self._settled = 0 if before is None else before.label_maps
         self._start: int = get(queue.open.remote(name, self._label_maps))
         self._held: list[Numbered] = []
-
-    @property
-    def opening(self) -> Opening:
-        """State of the record when it was opened."""
-        return self._record.opening
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
@@ -77,44 +73,30 @@ class DeliveredRecord:
         self._held.append((self._label_maps, pickle.dumps(StreamResult.of(shown, frame, self._name))))
         self._label_maps += 1
         if ends_group(frame.index):
-            self._offer()
+            self._flush()
         return self._settle(self._record.write(segmentation, frame, background))
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
         """Record a frame without a label map; return the number of label maps committed."""
         if ends_group(index):
-            self._offer()
+            self._flush()
         return self._settle(self._record.gap(index, pts, status))
-
-    def silent(self) -> None:
-        """Note that a camera sends nothing at present."""
-        self._record.silent()
-
-    def configure(self, settings: object) -> None:
-        """Follow other settings from the next row on."""
-        self._record.configure(settings)
 
     def keep(self, snapshot: Snapshot) -> bool:
         """Register a snapshot to go back to; of a camera that commits the rows before it."""
-        self._offer()
+        self._flush()
         kept = self._record.keep(snapshot)
         if kept and self._live:
             self._settle(snapshot.label_maps)
         return kept
 
-    def provisional(self) -> None:
-        """Mark the label maps from here on as provisional."""
-        self._offer()
-        self._record.provisional()
-
     def close(self, *, whole: bool) -> int:
         """Commit the rest and close all files; return the number of label maps committed."""
-        self._offer()
-        committed = self._record.close(whole=whole)
+        committed = super().close(whole=whole)
         get(self._queue.settle.remote(self._name, self._start, committed))
         return committed
 
-    def _offer(self) -> None:
+    def _flush(self) -> None:
         """Have the queue take what it does not have yet, and wait until it has."""
         if self._held:
             get(self._queue.offer.remote(self._name, self._start, self._held))
@@ -123,7 +105,7 @@ class DeliveredRecord:
     def _settle(self, committed: int) -> int:
         if committed > self._settled:
             if self._held and self._held[0][0] < committed:
-                self._offer()  # it was committed before the stream went back
+                self._flush()  # it was committed before the stream went back
             self._settled = committed
             self._queue.settle.remote(self._name, self._start, committed)
         return committed

@@ -13,10 +13,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from mlbs_actors.actors.stream.protocol import Opening, Snapshot, StreamSink
+from mlbs_actors.actors.stream.protocol import Snapshot, StreamSink
 from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from mlbs_actors.source import GapStatus, SourceFrame
 from orchestrator.pictures.privacy import FRAMES_AFTER, MovingArea, blurred
+from orchestrator.sinks.outer_record import OuterRecord
 
 __all__ = ["PrivateRecord"]
 
@@ -38,7 +39,7 @@ class _Result:
     background: LayerAppearance | None
 
 
-class PrivateRecord:
+class PrivateRecord(OuterRecord):
     """Writes a record of blurred pictures.
 
     Parameters
@@ -59,16 +60,11 @@ class PrivateRecord:
     ) -> None:
         self._clock = clock
         self._newest = clock()  # when a row came
-        self._record = open_record()
+        super().__init__(open_record)
         self._moving = MovingArea()
         self._held: deque[_Result | _Gap] = deque()
         self._results = 0  # of those held
         self._committed = 0
-
-    @property
-    def opening(self) -> Opening:
-        """State of the record when it was opened."""
-        return self._record.opening
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
@@ -92,36 +88,17 @@ class PrivateRecord:
             self._write_oldest()
         return self._committed
 
-    def silent(self) -> None:
-        """Write what is held, as nothing may follow for long."""
-        self._write_all()
-        self._record.silent()
-
-    def configure(self, settings: object) -> None:
-        """Follow other settings from the next row on."""
-        self._write_all()
-        self._record.configure(settings)
-
     def keep(self, snapshot: Snapshot) -> bool:
         """Register a snapshot to go back to; False if its files, or rows before it, are not complete yet."""
         if self._record.keep(snapshot):
             return True
         if not self._held or self._clock() - self._newest < _SNAPSHOT_SECONDS:
             return False
-        self._write_all()
+        self._flush()
         return self._record.keep(snapshot)
 
-    def provisional(self) -> None:
-        """Mark the label maps from here on as provisional."""
-        self._write_all()
-        self._record.provisional()
-
-    def close(self, *, whole: bool) -> int:
-        """Write what is held, commit the rest and close all files."""
-        self._write_all()
-        return self._record.close(whole=whole)
-
-    def _write_all(self) -> None:
+    def _flush(self) -> None:
+        """Write all that is held: nothing may follow for long, or what follows is written otherwise."""
         while self._held:
             self._write_oldest()
 

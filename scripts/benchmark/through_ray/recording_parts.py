@@ -14,7 +14,7 @@ from typing import Any
 
 from mlbs_actors import Config
 from mlbs_actors.actors.parts import CoordinatorPart, LayerPart, PartFactory, SegmenterPart
-from mlbs_actors.actors.stream.protocol import Snapshot, StreamSink
+from mlbs_actors.actors.stream.protocol import StreamSink
 from mlbs_actors.messages import (
     Array,
     FrameEvidence,
@@ -23,8 +23,9 @@ from mlbs_actors.messages import (
     LayerPosterior,
     Segmentation,
 )
-from mlbs_actors.source import GapStatus, SourceFrame
+from mlbs_actors.source import SourceFrame
 from mlbs_actors.stored_motion import StoredMotion
+from orchestrator.sinks.outer_record import OuterRecord
 
 __all__ = ["SPARE", "RecordingParts", "RecordingSink"]
 
@@ -108,12 +109,11 @@ class _TimestampingSegmenter:
         return replace(made, stage_ms={**made.stage_ms, _LABELLED: time.monotonic()})
 
 
-class RecordingSink:
-    """Wrap another sink; write a line for each label map that arrives."""
+class RecordingSink(OuterRecord):
+    """Write a line for each label map that arrives, besides another record."""
 
     def __init__(self, open_sink: Callable[[], StreamSink], file: Path) -> None:
-        self._sink = open_sink()
-        self.opening = self._sink.opening
+        super().__init__(open_sink)
         self._file = file.open("w", encoding="ascii", buffering=1)
 
     def write(
@@ -124,29 +124,9 @@ class RecordingSink:
         stage_ms = dict(segmentation.stage_ms)
         labelled = stage_ms.pop(_LABELLED)
         self._file.write(f"{time.monotonic()} {labelled} {frame.index} {objects}\n")
-        return self._sink.write(replace(segmentation, stage_ms=stage_ms), frame, background)
-
-    def gap(self, index: int, pts: float, status: GapStatus) -> int:
-        """See :class:`StreamSink`."""
-        return self._sink.gap(index, pts, status)
-
-    def configure(self, settings: object) -> None:
-        """See :class:`StreamSink`."""
-        self._sink.configure(settings)
-
-    def keep(self, snapshot: Snapshot) -> bool:
-        """See :class:`StreamSink`."""
-        return self._sink.keep(snapshot)
-
-    def silent(self) -> None:
-        """See :class:`StreamSink`."""
-        self._sink.silent()
-
-    def provisional(self) -> None:
-        """See :class:`StreamSink`."""
-        self._sink.provisional()
+        return super().write(replace(segmentation, stage_ms=stage_ms), frame, background)
 
     def close(self, *, whole: bool) -> int:
         """See :class:`StreamSink`."""
         self._file.close()
-        return self._sink.close(whole=whole)
+        return super().close(whole=whole)
