@@ -28,12 +28,13 @@ from orchestrator.library.pacing import PacedHost
 from orchestrator.library.result_queue import ResultQueue
 from orchestrator.library.starting import listed_stream
 from orchestrator.options import Arguments
-from orchestrator.run.driver import Driver, SpecChange
+from orchestrator.run.driver import Driver
 from orchestrator.run.hosting import Room, admission_to, host_of
 from orchestrator.run.job import Job
 from orchestrator.run.listed_stream import ListedStream, StreamsFile
 from orchestrator.run.need import USUAL_NEED
 from orchestrator.run.run_folder import RunFolder, StatusFile
+from orchestrator.run.spec_change import SpecChange
 from orchestrator.run.stream_state import ENDED, StreamState
 
 __all__ = ["Run"]

@@ -21,6 +21,7 @@ from orchestrator.interruption import Interruption
 from orchestrator.retries import retry_seconds
 from orchestrator.run.admission import Admission, Verdict
 from orchestrator.run.driven_stream import DrivenStream
+from orchestrator.run.spec_change import SpecChange
 from orchestrator.run.stream_state import (
     ENDED,
     StreamState,
@@ -37,7 +38,7 @@ from orchestrator.run.stream_state import (
 )
 from orchestrator.storage.durable_files import UnwritableError
 
-__all__ = ["Driver", "Observer", "SpecChange"]
+__all__ = ["Driver", "Observer", "Prior"]
 
 #: Longest time until a signal is noticed, s.
 _WAKE_SECONDS = 0.2
@@ -51,31 +52,25 @@ class Observer(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class SpecChange:
-    """What is to become of a run's streams.
+class Prior:
+    """What is known of streams before the run drives them, by name.
 
     Attributes
     ----------
-    added : tuple of StreamSpec
-        New ones.
-    removed : tuple of str
-        Names of those to end.
-    renamed : mapping of str to (str, callable)
-        New ones that may be added only when another one has ended, which is told by the call.
-    reopened : tuple of StreamSpec
-        Cameras that are read from another place.
-    restarted : tuple of StreamSpec
-        Those to go on with other processes, as they are now.
-    configured : tuple of (StreamSpec, object)
-        How others are to start from now on, and what their records are to follow at once.
+    lengths : mapping of str to int
+        Frames that waiting streams will read, as far as known; for display only.
+    loads : mapping of str to float
+        Cores that cameras kept busy in the run that this one resumes.
+    ended : mapping of str to StreamState
+        Streams that have no source, or ended in an earlier run; they are not started.
     """
 
-    added: tuple[StreamSpec, ...] = ()
-    removed: tuple[str, ...] = ()
-    renamed: Mapping[str, tuple[str, Callable[[], None]]] = field(default_factory=dict)
-    reopened: tuple[StreamSpec, ...] = ()
-    restarted: tuple[StreamSpec, ...] = ()
-    configured: tuple[tuple[StreamSpec, object], ...] = ()
+    lengths: Mapping[str, int] = field(default_factory=dict)
+    loads: Mapping[str, float] = field(default_factory=dict)
+    ended: Mapping[str, StreamState] = field(default_factory=dict)
+
+
+_NOTHING_KNOWN = Prior()
 
 
 class Driver:
@@ -92,12 +87,7 @@ class Driver:
     observers : sequence of Observer
     interruption : Interruption
         Checked between events.
-    lengths : mapping of str to int, optional
-        Frames that waiting streams will read, as far as known; for display only.
-    loads : mapping of str to float, optional
-        Cores that cameras kept busy in the run that this one resumes.
-    ended : mapping of str to StreamState, optional
-        Streams that have no source, or ended in an earlier run; they are not started.
+    prior : Prior
     changes : callable, optional
         Called repeatedly for streams to add and names to end; with it the run continues until a signal.
     clock : callable
@@ -112,19 +102,18 @@ class Driver:
         admission: Admission,
         observers: Sequence[Observer],
         interruption: Interruption,
-        lengths: Mapping[str, int] | None = None,
-        loads: Mapping[str, float] | None = None,
-        ended: Mapping[str, StreamState] | None = None,
+        prior: Prior = _NOTHING_KNOWN,
         changes: Callable[[], SpecChange | None] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        lengths, loads = lengths or {}, loads or {}
         self._streams = {
-            spec.name: DrivenStream(spec, host, clock, lengths.get(spec.name), loads.get(spec.name, 0.0))
+            spec.name: DrivenStream(
+                spec, host, clock, prior.lengths.get(spec.name), prior.loads.get(spec.name, 0.0)
+            )
             for spec in specs
         }
         self._earlier: dict[str, StreamState] = {}  # of which no more is known
-        for name, state in (ended or {}).items():
+        for name, state in prior.ended.items():
             if name in self._streams:
                 self._streams[name].state = state
             else:

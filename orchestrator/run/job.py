@@ -22,7 +22,6 @@ from orchestrator.events.targets import EventTarget, all_targets
 from orchestrator.events.zones import read_zones
 from orchestrator.option import Effect
 from orchestrator.options import Arguments, recorded
-from orchestrator.run.driver import SpecChange
 from orchestrator.run.edited_files import keep_version
 from orchestrator.run.file_watch import FileWatch
 from orchestrator.run.list_watch import ListChange, ListWatch
@@ -31,6 +30,7 @@ from orchestrator.run.reader_opening import ReaderOpening
 from orchestrator.run.resumption import with_new_names
 from orchestrator.run.retention_limits import Keep
 from orchestrator.run.run_folder import RunFolder, describe_run
+from orchestrator.run.spec_change import SpecChange
 from orchestrator.run.stream_settings import StreamSettings, changes_between, settings_of, words_of_changes
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path
 from orchestrator.sinks.private_record import PrivateRecord

@@ -35,7 +35,7 @@ from orchestrator.report.page import render_report
 from orchestrator.run.admission import cores
 from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.closing_words import closing_words
-from orchestrator.run.driver import Driver, Observer
+from orchestrator.run.driver import Driver, Observer, Prior
 from orchestrator.run.edit_zones import ZoneFiles
 from orchestrator.run.expected_time import words_on_expected_time
 from orchestrator.run.hosting import Room, admission_to, host_of
@@ -292,15 +292,14 @@ def _drive(
         try:
             most = _most_at_once(job, ended, room, arguments)
             host = host_of(folder.path, most, room.need, log.warn, shared=arguments.address is not None)
+            loads = {name: one.cores or one.earlier_cores for name, one in folder.states().items()}
             driver = Driver(
                 job.specs,
                 host,
                 admission=admission_to(host, room, _allowed(arguments, room)),
                 observers=[status, *onlookers, progress],
                 interruption=interruption,
-                lengths=lengths,
-                loads={name: one.cores or one.earlier_cores for name, one in folder.states().items()},
-                ended=ended,
+                prior=Prior(lengths, loads, ended),
                 changes=job.changes if arguments.watch else None,
             )
             try:

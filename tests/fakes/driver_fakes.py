@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from typing import Any
 
-from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, StreamSpec
+from mlbs_actors.actors.stream.protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import SourceError
 from mlbs_actors.source import FrameReader
-from orchestrator.run.stream_state import (
-    StateName,
-    StreamState,
-)
+from orchestrator.interruption import Interruption
+from orchestrator.run.admission import by_count
+from orchestrator.run.driver import Driver, Observer
+from orchestrator.run.stream_state import StateName, StreamState
 
 BURST = 4
 
@@ -120,3 +121,22 @@ class Again(FakeHost):
         self.before.append(before)
         self.last_tries.append(spec.last_try)
         return self.attempts[spec.name].pop(0)
+
+
+def driver_of(
+    streams: Iterable[StreamSpec | str],
+    host: StreamHost,
+    *observers: Observer,
+    at_once: int | Callable[[int], int] = 1,
+    interruption: Interruption | None = None,
+    **others: Any,
+) -> Driver:
+    """Return the driver of streams, which are given or named; of all else it has what is ``others``."""
+    return Driver(
+        [spec(one) if isinstance(one, str) else one for one in streams],
+        host,
+        admission=by_count(at_once),
+        observers=observers,
+        interruption=interruption or Interruption(),
+        **others,
+    )

@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow.dataset as ds
 import pytest
 from actor_fakes import CONFIG, FakeParts, picture, rows_in_one_process, wait_until
+from driver_fakes import driver_of
 from test_recovery import as_rows, started, take
 from thread_host import die, pause
 
@@ -27,9 +28,6 @@ from mlbs_actors.messages import Array, LayerAppearance, Segmentation
 from mlbs_actors.record.commits import read_commits
 from mlbs_actors.source import FrameReader, SourceFrame, SourcePosition, SourceSilence, SourceStatus
 from mlbs_actors.state_file import capture
-from orchestrator.interruption import Interruption
-from orchestrator.run.admission import by_count
-from orchestrator.run.driver import Driver
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord, has_snapshot, recorded_frames
 from orchestrator.storage.snapshot_folder import SnapshotFolder
@@ -353,7 +351,7 @@ def parts(tmp_path: Path) -> FakeParts:
 
 
 def drive(node: Node, spec: StreamSpec) -> StreamState:
-    driver = Driver([spec], node, admission=by_count(1), observers=[], interruption=Interruption())
+    driver = driver_of([spec], node)
     driver.run()
     return driver.states[0]
 

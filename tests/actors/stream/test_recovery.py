@@ -27,6 +27,7 @@ from actor_fakes import (
     rows_in_one_process,
     wait_until,
 )
+from driver_fakes import driver_of
 from PIL import Image
 
 from mlbs_actors.actors.node.pool import PoolPolicy
@@ -41,10 +42,7 @@ from mlbs_actors.record.commits import Commit, read_commits
 from mlbs_actors.source import SourceFrame
 from mlbs_actors.state_file import capture
 from mlbs_actors.stored_motion import StoredMotion
-from orchestrator.interruption import Interruption
 from orchestrator.run import driven_stream
-from orchestrator.run.admission import by_count
-from orchestrator.run.driver import Driver
 from orchestrator.run.recovery import MOST_RETURNS, Returns
 from orchestrator.run.resumption import ended_before
 from orchestrator.run.run_folder import RunFolder, StatusFile
@@ -424,7 +422,7 @@ def spec(name: str, reader: FakeReader, folder: Path, snapshot_rows: int = 4) ->
 
 
 def drive(node: Node, *specs: StreamSpec) -> dict[str, StreamState]:
-    driver = Driver(specs, node, admission=by_count(4), observers=[], interruption=Interruption())
+    driver = driver_of(specs, node, at_once=4)
     driver.run()
     return {state.name: state for state in driver.states}
 

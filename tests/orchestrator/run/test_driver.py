@@ -12,15 +12,15 @@ from dataclasses import replace
 from itertools import count
 
 import pytest
-from driver_fakes import BURST, Again, FakeHost, FakeStream, Recorder, progress, spec
+from driver_fakes import BURST, Again, FakeHost, FakeStream, Recorder, driver_of, progress, spec
 
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, StreamSpec
 from mlbs_actors.errors import ActorLostError, NoPlaceError, SourceError
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.run import driver as driver_module
-from orchestrator.run.admission import by_count
-from orchestrator.run.driver import Driver, SpecChange
+from orchestrator.run.driver import Prior
 from orchestrator.run.recovery import MOST_RETURNS, STALL_SECONDS
+from orchestrator.run.spec_change import SpecChange
 from orchestrator.run.stream_state import (
     ENDED,
     StreamState,
@@ -78,12 +78,8 @@ def drive(
     turns: Turns | None = None,
 ) -> tuple[int, dict[str, StreamState], Recorder, FakeHost]:
     host, recorder = FakeHost(streams), Recorder()
-    driver = Driver(
-        [spec(name) for name in streams],
-        host,
-        admission=by_count(limit),
-        observers=[recorder, *([] if turns is None else [turns])],
-        interruption=interruption or Interruption(),
+    driver = driver_of(
+        streams, host, recorder, *([] if turns is None else [turns]), at_once=limit, interruption=interruption
     )
     status = driver.run()
     return status, {state.name: state for state in driver.states}, recorder, host
@@ -152,9 +148,7 @@ def test_a_stream_that_cannot_even_be_started_fails_alone() -> None:
             return super().start(spec, before)
 
     host = Broken({"good": FakeStream(5)})
-    driver = Driver(
-        [spec("bad"), spec("good")], host, admission=by_count(1), observers=[], interruption=Interruption()
-    )
+    driver = driver_of(["bad", "good"], host)
     assert driver.run() == 1
     assert [state.state for state in driver.states] == ["failed", "done"]
 
@@ -240,14 +234,7 @@ def drive_again(
     interruption: Interruption | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> dict[str, StreamState]:
-    driver = Driver(
-        [spec(name) for name in host.attempts],
-        host,
-        admission=by_count(2),
-        observers=[],
-        interruption=interruption or Interruption(),
-        clock=clock,
-    )
+    driver = driver_of(host.attempts, host, at_once=2, interruption=interruption, clock=clock)
     driver.run()
     return {state.name: state for state in driver.states}
 
@@ -313,9 +300,7 @@ def test_a_stream_that_leaves_the_list_while_it_goes_back_is_not_started_again()
         has_left.set()
         return SpecChange((), ("bad",))
 
-    driver = Driver(
-        [spec("bad")], host, admission=by_count(1), observers=[], interruption=interruption, changes=changes
-    )
+    driver = driver_of(["bad"], host, interruption=interruption, changes=changes)
     driver.run()
     assert host.started == ["bad"]
     assert (driver.states[0].state, driver.states[0].committed) == ("partial", 8)
@@ -339,28 +324,14 @@ def test_a_signal_while_a_stream_goes_back_leaves_it_to_be_resumed() -> None:
 
 def test_a_waiting_stream_is_shown_with_what_it_will_read_of_its_length() -> None:
     specs = [spec("a", 5), spec("b", 50), spec("c")]
-    driver = Driver(
-        specs,
-        FakeHost({}),
-        admission=by_count(1),
-        observers=[],
-        interruption=Interruption(),
-        lengths={"a": 20, "b": 20},
-    )
+    driver = driver_of(specs, FakeHost({}), prior=Prior(lengths={"a": 20, "b": 20}))
     assert [state.length for state in driver.states] == [5, 20, None]
 
 
 def test_streams_that_ended_in_an_earlier_run_are_left_alone() -> None:
     host = FakeHost({"new": FakeStream(4)})
     ended = {"old": StreamState("old", "done", read=9, committed=9)}
-    driver = Driver(
-        [spec("old"), spec("new")],
-        host,
-        admission=by_count(2),
-        observers=[],
-        interruption=Interruption(),
-        ended=ended,
-    )
+    driver = driver_of(["old", "new"], host, at_once=2, prior=Prior(ended=ended))
     assert driver.run() == 0
     assert host.started == ["new"]
     assert driver.states[0] == ended["old"]
@@ -388,14 +359,7 @@ def test_what_a_camera_took_when_it_was_stopped_is_known_when_it_is_resumed() ->
     stopped_door = after_interruption(running, progress(20, done=True))
     assert stopped_door.cores == 0
     loads = {"door": stopped_door.earlier_cores}
-    door = Driver(
-        [spec("door"), spec("new")],
-        FakeHost({}),
-        admission=by_count(1),
-        observers=[],
-        interruption=Interruption(),
-        loads=loads,
-    )
+    door = driver_of(["door", "new"], FakeHost({}), prior=Prior(loads=loads))
     assert [state.earlier_cores for state in door.states] == [0.3, 0.0]
 
 
@@ -407,13 +371,7 @@ def test_a_waiting_stream_says_what_for_and_a_running_one_no_more() -> None:
             super().update(states)
             said.append(tuple(state.waits_for for state in states))
 
-    driver = Driver(
-        [spec("a"), spec("b")],
-        FakeHost({"a": FakeStream(8), "b": FakeStream(8)}),
-        admission=by_count(1),
-        observers=[Watch()],
-        interruption=Interruption(),
-    )
+    driver = driver_of(["a", "b"], FakeHost({"a": FakeStream(8), "b": FakeStream(8)}), Watch())
     driver.run()
     assert ("its processes and its first frames", None) in said
     assert (None, "one of the 1 places, which are taken") in said
@@ -423,13 +381,7 @@ def test_a_waiting_stream_says_what_for_and_a_running_one_no_more() -> None:
 def test_the_limit_can_grow_while_streams_run() -> None:
     limits = iter([1] * 3)
     host = FakeHost({name: FakeStream(8) for name in "abc"})
-    driver = Driver(
-        [spec(name) for name in "abc"],
-        host,
-        admission=by_count(lambda _: next(limits, 3)),
-        observers=[],
-        interruption=Interruption(),
-    )
+    driver = driver_of("abc", host, at_once=lambda _: next(limits, 3))
     assert driver.run() == 0
     assert [state.state for state in driver.states] == ["done"] * 3
 
@@ -442,13 +394,7 @@ def test_streams_wait_while_there_is_no_place_for_any() -> None:
         return next(limits, 2)
 
     host = FakeHost({name: FakeStream(8) for name in "abc"})
-    driver = Driver(
-        [spec(name) for name in "abc"],
-        host,
-        admission=by_count(limit),
-        observers=[],
-        interruption=Interruption(),
-    )
+    driver = driver_of("abc", host, at_once=limit)
     assert driver.run() == 0
     assert asked[:4] == [3, 3, 3, 3]
     assert host.most_at_once == 2
@@ -465,13 +411,7 @@ def test_a_stream_that_goes_back_when_no_node_is_left_waits_and_goes_on_from_its
     refused: list[RunningStream] = []
     first = losing(8)
     host, recorder = Lost({"only": [first, FakeStream(20)]}), Recorder()
-    driver = Driver(
-        [spec("only")],
-        host,
-        admission=by_count(1),
-        observers=[recorder],
-        interruption=Interruption(),
-    )
+    driver = driver_of(["only"], host, recorder)
     assert driver.run() == 0
     assert host.before == [None, first]
     assert recorder.history["only"][-4:] == ["waiting", "starting", "running", "done"]

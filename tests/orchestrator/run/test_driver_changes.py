@@ -7,14 +7,14 @@ import threading
 from dataclasses import replace
 
 import pytest
-from driver_fakes import Again, FakeHost, FakeStream, Recorder, spec
+from driver_fakes import Again, FakeHost, FakeStream, Recorder, driver_of, spec
 
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, StreamSpec
 from mlbs_actors.source import FrameReader
 from orchestrator.interruption import Interruption
 from orchestrator.run import driver as driver_module
-from orchestrator.run.admission import by_count
-from orchestrator.run.driver import Driver, SpecChange
+from orchestrator.run.driver import Prior
+from orchestrator.run.spec_change import SpecChange
 from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.storage.durable_files import UnwritableError
 
@@ -41,14 +41,7 @@ def test_streams_that_come_are_run_and_those_that_leave_are_finished_until_a_sig
         due = streams["endless"].read >= 20 if len(left) > 1 else is_over
         return left.pop(0) if left and due else None
 
-    driver = Driver(
-        [spec("endless"), spec("waits")],
-        host,
-        admission=by_count(1),
-        observers=[recorder],
-        interruption=interruption,
-        changes=changes,
-    )
+    driver = driver_of(["endless", "waits"], host, recorder, interruption=interruption, changes=changes)
     assert driver.run() == 0
     states = {state.name: state for state in driver.states}
     assert list(states) == ["endless", "new"]
@@ -77,9 +70,8 @@ def test_a_stream_that_comes_back_is_started_again_once_it_is_gone_and_one_at_it
             is_back.set()
         return left.pop(0) if left and first.read >= 20 else None
 
-    specs = [spec("camera"), spec("film")]
-    driver = Driver(
-        specs, host, admission=by_count(2), observers=[recorder], interruption=interruption, changes=changes
+    driver = driver_of(
+        ["camera", "film"], host, recorder, at_once=2, interruption=interruption, changes=changes
     )
     driver.run()
     assert host.started == ["camera", "film", "camera"]
@@ -104,13 +96,8 @@ def test_a_stream_follows_other_settings_at_once_or_when_it_starts() -> None:
             interruption.signal_number = signal.SIGTERM
         return left.pop(0) if left and running.read >= 8 else None
 
-    driver = Driver(
-        [spec("a"), spec("b")],
-        Host({"a": running, "b": waiting}),
-        admission=by_count(1),
-        observers=[],
-        interruption=interruption,
-        changes=changes,
+    driver = driver_of(
+        ["a", "b"], Host({"a": running, "b": waiting}), interruption=interruption, changes=changes
     )
     driver.run()
     assert running.settings == ["zones of a"]
@@ -145,13 +132,8 @@ def test_a_stream_goes_on_with_other_processes_when_its_settings_ask_for_them(sa
             interruption.signal_number = signal.SIGTERM
         return left.pop(0) if left and first.read >= 20 else None
 
-    driver = Driver(
-        [camera],
-        Host({"camera": [first, second]}),
-        admission=by_count(1),
-        observers=[recorder],
-        interruption=interruption,
-        changes=changes,
+    driver = driver_of(
+        [camera], Host({"camera": [first, second]}), recorder, interruption=interruption, changes=changes
     )
     driver.run()
     assert first.stops == second.stops == [True]  # what was read is labelled and kept
@@ -171,14 +153,7 @@ def test_a_camera_that_was_given_up_is_tried_again_where_it_is_now() -> None:
         return left.pop(0) if left and gone.stops else None
 
     host = Again({"camera": [gone, there]})
-    driver = Driver(
-        [replace(spec("camera"), live=True)],
-        host,
-        admission=by_count(1),
-        observers=[],
-        interruption=interruption,
-        changes=changes,
-    )
+    driver = driver_of([replace(spec("camera"), live=True)], host, interruption=interruption, changes=changes)
     driver.run()
     assert host.started == ["camera", "camera"]
 
@@ -203,13 +178,8 @@ def test_a_renamed_stream_begins_once_the_one_before_has_ended(same_reader: bool
             interruption.signal_number = signal.SIGTERM
         return left.pop(0) if left and first.read >= 20 else None
 
-    driver = Driver(
-        [spec("lane")],
-        Host({"lane": first, "road": second}),
-        admission=by_count(2),
-        observers=[],
-        interruption=interruption,
-        changes=changes,
+    driver = driver_of(
+        ["lane"], Host({"lane": first, "road": second}), at_once=2, interruption=interruption, changes=changes
     )
     driver.run()
     assert told == [[True]]
@@ -241,14 +211,7 @@ def test_a_new_name_that_is_taken_back_before_it_is_used_leaves_nothing() -> Non
         return left.pop(0) if left and first.read >= 20 else None
 
     host = FakeHost({"lane": first})
-    driver = Driver(
-        [spec("lane")],
-        host,
-        admission=by_count(2),
-        observers=[],
-        interruption=interruption,
-        changes=changes,
-    )
+    driver = driver_of(["lane"], host, at_once=2, interruption=interruption, changes=changes)
     driver.run()
     assert host.started == ["lane"]
     assert [(state.name, state.state) for state in driver.states] == [("lane", "done")]
@@ -264,14 +227,7 @@ def test_a_camera_that_is_elsewhere_now_is_read_there_by_the_processes_that_it_h
         return left.pop(0) if left and camera.read >= 20 else None
 
     host = FakeHost({"camera": camera})
-    driver = Driver(
-        [replace(spec("camera"), live=True)],
-        host,
-        admission=by_count(1),
-        observers=[],
-        interruption=interruption,
-        changes=changes,
-    )
+    driver = driver_of([replace(spec("camera"), live=True)], host, interruption=interruption, changes=changes)
     driver.run()
     assert camera.readers == [elsewhere]
     assert host.started == ["camera"]
@@ -297,11 +253,10 @@ def test_a_camera_whose_disk_is_full_goes_on_when_there_is_room_but_a_file_fails
             interruption.signal_number = signal.SIGTERM
         return None
 
-    driver = Driver(
+    driver = driver_of(
         [replace(spec("camera"), live=live)],
         Again({"camera": [*refused, last]}),
-        admission=by_count(1),
-        observers=[recorder],
+        recorder,
         interruption=interruption,
         changes=changes,
     )
@@ -321,11 +276,10 @@ def test_a_run_ends_at_once_though_a_camera_waits_for_its_disk(monkeypatch: pyte
             interruption.signal_number = signal.SIGTERM
         return None
 
-    driver = Driver(
+    driver = driver_of(
         [replace(spec("camera"), live=True)],
         FakeHost({"camera": full}),
-        admission=by_count(1),
-        observers=[recorder],
+        recorder,
         interruption=interruption,
         changes=changes,
     )
@@ -347,14 +301,8 @@ def test_a_stream_of_an_earlier_run_that_the_list_names_again_goes_on_unless_it_
         return left.pop(0) if left else None
 
     host = FakeHost({"camera": again})
-    driver = Driver(
-        [],
-        host,
-        admission=by_count(1),
-        observers=[],
-        interruption=interruption,
-        ended={"camera": earlier},
-        changes=changes,
+    driver = driver_of(
+        [], host, interruption=interruption, changes=changes, prior=Prior(ended={"camera": earlier})
     )
     assert driver.states == (earlier,)
     driver.run()
