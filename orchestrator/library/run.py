@@ -24,7 +24,6 @@ from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.events.delivery import Deliveries
 from orchestrator.interruption import Interruption
 from orchestrator.library.delivered_record import delivered
-from orchestrator.library.pacing import PacedHost
 from orchestrator.library.result_queue import ResultQueue
 from orchestrator.library.starting import listed_stream
 from orchestrator.options import Arguments
@@ -107,17 +106,17 @@ class Run(Generic[Yielded]):
             held.enter_context(self._folder.locked())
             self._queue: Handle = spawn(ResultQueue, node=here())
             held.callback(end, [self._queue])
-            host = host_of(self._folder.path, room.places, room.need, _log.info, shared=shared)
+            self._host = host_of(self._folder.path, room.places, room.need, _log.info, shared=shared)
             self._held = held.pop_all()  # until it is closed
-        self._host = PacedHost(host, self._is_behind)
         self._status = StatusFile(self._folder.path / "status.json")
         self._driver = Driver(
             [self._spec(spec) for spec in self._job.specs],
             self._host,
-            admission=admission_to(host, room),
+            admission=admission_to(self._host, room),
             observers=[self._status, self],
             interruption=self._interruption,
             changes=self._next_change,
+            is_behind=self._is_behind,
         )
         self._thread = Thread(target=self._drive, name="mlbs-actors-run", daemon=True)
         self._thread.start()
@@ -256,7 +255,7 @@ class Run(Generic[Yielded]):
             return True
         with self._changing:
             ended = all(state.state in ENDED for state in self._states.values())
-            return ended and not (self._changes or self._joining or self._host.running)
+            return ended and not (self._changes or self._joining or self._driver.has_processes)
 
     def _raise_failure(self) -> None:
         if self._failure is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
+from threading import Timer
 
 from mlbs_actors.actors.stream.protocol import RunningStream, StreamHost, StreamProgress, StreamSpec
 from orchestrator.run.load import LoadMeter
@@ -12,6 +13,9 @@ from orchestrator.run.recovery import STALL_SECONDS, START_SECONDS, Returns
 from orchestrator.run.stream_state import StreamState, after_progress
 
 __all__ = ["DrivenStream"]
+
+#: How long a stream that is to wait is not asked, s.
+_PAUSE_SECONDS = 0.1
 
 
 class DrivenStream:
@@ -37,6 +41,8 @@ class DrivenStream:
         As the user sees it.
     is_leaving : bool
         It was taken from the list, and has not ended yet.
+    has_processes : bool
+        Whether it has processes, be it some that are being ended.
     refusals : int
         How often its disk could not be written to since its last progress.
     """
@@ -56,6 +62,7 @@ class DrivenStream:
             spec.name, line=spec.line, length=length, live=spec.live, earlier_cores=earlier_cores
         )
         self.is_leaving = False
+        self.has_processes = False
         self.refusals = 0
         self._host = host
         self._clock = clock
@@ -65,6 +72,7 @@ class DrivenStream:
         self._same_reader = True
         self._losses = Returns()
         self._load = LoadMeter(clock)
+        self._newest: StreamProgress | None = None  # since its start
         self._asked_at = 0.0
 
     @property
@@ -88,6 +96,11 @@ class DrivenStream:
         return self._restarts
 
     @property
+    def committed(self) -> int | None:
+        """Its committed label maps; None before the first burst of a start has ended."""
+        return None if self._newest is None else self._newest.committed
+
+    @property
     def hangs_for(self) -> float | None:
         """Seconds for which its burst has not ended, if that is too long."""
         most = START_SECONDS if self.state.state == "starting" else STALL_SECONDS
@@ -95,10 +108,11 @@ class DrivenStream:
 
     def start(self) -> None:
         """Start its processes; raises what :meth:`StreamHost.start` does."""
-        self._load = LoadMeter(self._clock)
+        self._load, self._newest = LoadMeter(self._clock), None
         spec = replace(self.spec, last_try=self._losses.last_try)
         # A reader that lived on reads what it did.
         self._running = self._host.start(spec, self._before if self._same_reader else None)
+        self.has_processes = True
         self.state = replace(self.state, node=self._running.node)
         self.give_up_return()
 
@@ -112,8 +126,18 @@ class DrivenStream:
         self._asked_at = self._clock()
         return self._running.advance()
 
+    def pause(self) -> Future[StreamProgress]:
+        """Ask for nothing; that there is nothing new is the answer, after a moment."""
+        self._asked_at = self._clock()
+        answer: Future[StreamProgress] = Future()
+        timer = Timer(_PAUSE_SECONDS, answer.set_result, [self._newest])
+        timer.daemon = True
+        timer.start()
+        return answer
+
     def note(self, progress: StreamProgress) -> StreamState:
         """Return its state after a burst."""
+        self._newest = progress
         if progress.committed > self.state.committed:
             self.refusals = 0
         load = self._load.after(progress)
@@ -172,6 +196,7 @@ class DrivenStream:
             try:
                 return running.stop(drain=drain, returns=keeps_reader)
             finally:
+                self.has_processes = False
                 if returns:
                     self._host.repair()
 

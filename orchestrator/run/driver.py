@@ -90,6 +90,9 @@ class Driver:
     prior : Prior
     changes : callable, optional
         Called repeatedly for streams to add and names to end; with it the run continues until a signal.
+    is_behind : callable, optional
+        Takes a stream's name and the number of its committed label maps; returns whether the stream is to
+        wait, as whoever takes its label maps has not taken enough of them yet.
     clock : callable
         Monotonic time, s.
     """
@@ -104,6 +107,7 @@ class Driver:
         interruption: Interruption,
         prior: Prior = _NOTHING_KNOWN,
         changes: Callable[[], SpecChange | None] | None = None,
+        is_behind: Callable[[str, int], bool] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._streams = {
@@ -123,6 +127,7 @@ class Driver:
         self._observers = observers
         self._interruption = interruption
         self._changes = changes
+        self._is_behind = is_behind
         self._clock = clock
         self._coming: dict[str, DrivenStream] = {}  # new in the list, and not added yet
         self._renamed: dict[str, tuple[str, Callable[[], None]]] = {}
@@ -135,6 +140,11 @@ class Driver:
     def states(self) -> tuple[StreamState, ...]:
         """The current states, in the order of the list."""
         return (*(one.state for one in self._streams.values()), *self._earlier.values())
+
+    @property
+    def has_processes(self) -> bool:
+        """Whether any stream has processes still, be it one that has ended; any thread may ask."""
+        return any(one.has_processes for one in list(self._streams.values()))
 
     def run(self) -> int:
         """Run all streams to their ends, or until a signal; return the run's exit status."""
@@ -296,7 +306,9 @@ class Driver:
             self._start(one)
 
     def _advance(self, one: DrivenStream) -> None:
-        self._bursts[one.advance()] = one
+        committed = one.committed
+        waits = committed is not None and self._is_behind is not None and self._is_behind(one.name, committed)
+        self._bursts[one.pause() if waits else one.advance()] = one
 
     def _fail(self, one: DrivenStream, error: Exception) -> None:
         """End a stream, for good unless it may be started again; it keeps its place meanwhile."""

@@ -415,3 +415,37 @@ def test_a_stream_that_goes_back_when_no_node_is_left_waits_and_goes_on_from_its
     assert driver.run() == 0
     assert host.before == [None, first]
     assert recorder.history["only"][-4:] == ["waiting", "starting", "running", "done"]
+
+
+def test_a_stream_that_is_ahead_of_whoever_takes_its_label_maps_waits_and_goes_on_afterwards() -> None:
+    asked: list[int] = []
+    taken = 0
+
+    def is_behind(name: str, committed: int) -> bool:
+        nonlocal taken
+        asked.append(stream.read)
+        if asked.count(8) == 3:
+            taken = 8
+        return committed - taken >= 8
+
+    stream = FakeStream(16)
+    driver = driver_of(["a"], FakeHost({"a": stream}), is_behind=is_behind)
+    assert driver.run() == 0
+    assert driver.states[0].committed == 16
+    assert asked == [4, 8, 8, 8, 12]  # not before its first burst
+
+
+def test_a_stream_that_has_ended_has_processes_until_they_are_given_back() -> None:
+    seen: list[bool] = []
+
+    class Slow(FakeStream):
+        def stop(self, *, drain: bool, returns: bool = False) -> StreamProgress | None:
+            assert driver.states[0].state == "done"
+            seen.append(driver.has_processes)
+            return super().stop(drain=drain, returns=returns)
+
+    driver = driver_of(["a"], FakeHost({"a": Slow(4)}))
+    assert not driver.has_processes
+    driver.run()
+    assert seen == [True]
+    assert not driver.has_processes
