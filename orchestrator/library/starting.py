@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, overload
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
@@ -21,42 +21,41 @@ from orchestrator.run.listed_stream import ListedStream, check_name
 
 if TYPE_CHECKING:
     import ray
+    from typing_extensions import Unpack
 
     from orchestrator.library.run import Run
 
 __all__ = ["listed_stream", "start"]
 
+#: Sources, with the names of their streams or without.
+Sources: TypeAlias = "Mapping[str, str | Path] | Iterable[str | Path]"
+
+
+class _Settings(TypedDict, total=False):
+    """Arguments of :func:`start` that have no bearing on the type of what it returns."""
+
+    address: str | None
+    config: Config | None
+    output: str | Path | None
+    save: Collection[str]
+    max_frames: int | None
+    max_side: int | None
+
 
 @overload
 def start(
-    streams: Mapping[str, str | Path] | Iterable[str | Path] = (),
-    *,
-    address: str | None = None,
-    config: Config | None = None,
-    output: str | Path | None = None,
-    save: Collection[str] = (),
-    max_frames: int | None = None,
-    max_side: int | None = None,
-    references: Literal[False] = False,
+    streams: Sources = (), *, references: Literal[False] = False, **settings: Unpack[_Settings]
 ) -> Run[StreamResult]: ...
 
 
 @overload
 def start(
-    streams: Mapping[str, str | Path] | Iterable[str | Path] = (),
-    *,
-    address: str | None = None,
-    config: Config | None = None,
-    output: str | Path | None = None,
-    save: Collection[str] = (),
-    max_frames: int | None = None,
-    max_side: int | None = None,
-    references: Literal[True],
+    streams: Sources = (), *, references: Literal[True], **settings: Unpack[_Settings]
 ) -> Run[ray.ObjectRef[StreamResult]]: ...
 
 
 def start(
-    streams: Mapping[str, str | Path] | Iterable[str | Path] = (),
+    streams: Sources = (),
     *,
     address: str | None = None,
     config: Config | None = None,
@@ -140,7 +139,7 @@ def listed_stream(name: str, source: str | Path) -> ListedStream:
         raise ConfigError(f"{text[0].upper()}{text[1:]}.") from None
 
 
-def _listed(streams: Mapping[str, str | Path] | Iterable[str | Path]) -> tuple[ListedStream, ...]:
+def _listed(streams: Sources) -> tuple[ListedStream, ...]:
     if isinstance(streams, str | Path):
         streams = [streams]
     if isinstance(streams, Mapping):
