@@ -10,11 +10,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from mlbs_actors.errors import ConfigError
-from orchestrator.object_storage.address import parse_store_address
-from orchestrator.object_storage.fetching import fetch
-from orchestrator.object_storage.store import StoreError, open_store
 from orchestrator.program import program_name
+
+__all__ = ["main"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -28,6 +26,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, metavar="DIR", help="a folder that is not there yet")
     given = parser.parse_args(argv)
     folder: Path = given.folder
+    # Imported here: the help needs nothing that is installed.
+    from mlbs_actors.errors import ConfigError
+    from orchestrator.object_storage.address import parse_store_address
+    from orchestrator.object_storage.fetching import fetch
+    from orchestrator.object_storage.store import StoreError, open_store
+
     try:
         address = parse_store_address(given.address)
         if address is None:

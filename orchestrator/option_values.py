@@ -14,6 +14,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from orchestrator.credentials import mask
 from orchestrator.log import FORMATS, LogFormat
+from orchestrator.make.kinds import KINDS
 from orchestrator.monitor.address import MonitorAddress
 from orchestrator.object_storage.address import StoreAddress, parse_store_address
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from orchestrator.run.need import Reserve
     from orchestrator.run.retention_limits import Keep
 
-__all__ = ["DRAWABLE", "DRAWN", "LEAST_SIDE", "MAKEABLE", "SAVABLE", "SAVED"]
+__all__ = ["DRAWABLE", "DRAWN", "LEAST_SIDE", "SAVABLE", "SAVED"]
 
 #: The parts of a record that ``--save`` can name.
 SAVABLE = ("masks", "parquet", "overlay", "background", "cutouts")
@@ -35,9 +36,6 @@ SAVED = SAVABLE[:3]
 #: What can be drawn over pictures beside the objects, and what is by default.
 DRAWABLE = ("ids", "zones", "frame", "clock")
 DRAWN = DRAWABLE[:3]
-
-#: What ``--make`` can name, and ``orchestrator.make`` makes.
-MAKEABLE = ("overlay", "remove", "blur", "pixelate", "highlight", "cutout", "clips", "gif", "sheet")
 
 #: Least ``--max-side``, px: in smaller pictures there is hardly a trajectory.
 LEAST_SIDE = 64
@@ -122,9 +120,9 @@ def drawn(text: str) -> frozenset[str]:
 
 
 def made(text: str) -> tuple[str, ...]:
-    """Read what is to be made, with commas; in the order of :data:`MAKEABLE`."""
-    chosen = _chosen(text, MAKEABLE)
-    return tuple(kind for kind in MAKEABLE if kind in chosen)
+    """Read what is to be made, with commas; in the order of the kinds."""
+    chosen = _chosen(text, tuple(KINDS))
+    return tuple(kind for kind in KINDS if kind in chosen)
 
 
 def _chosen(text: str, known: Sequence[str]) -> frozenset[str]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 from orchestrator import option_values as values
 from orchestrator.credentials import PASSWORD_VARIABLE
 from orchestrator.log import FORMATS, LogFormat
+from orchestrator.make.kinds import KINDS
 from orchestrator.monitor.address import TOKEN_VARIABLE, MonitorAddress
 from orchestrator.option import Effect, Form, Option
 
@@ -147,7 +148,7 @@ class Arguments:
     make: Annotated[
         tuple[str, ...],
         Option(
-            f"when the run has ended, make of each file any of {', '.join(values.MAKEABLE)}, with commas, in "
+            f"when the run has ended, make of each file any of {', '.join(KINDS)}, with commas, in "
             "DIR/NAME/made",
             "KIND[,KIND]",
             read=values.made,

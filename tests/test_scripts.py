@@ -49,7 +49,9 @@ def test_every_script_shows_its_help_where_nothing_is_installed(clone: Path, scr
     assert not (clone / ".venv").exists()
 
 
-@pytest.mark.parametrize("command", ["run", "demo", "export", "report", "evaluate", "disk-use"])
+@pytest.mark.parametrize(
+    "command", ["run", "demo", "make", "export", "report", "fetch", "evaluate", "disk-use"]
+)
 def test_the_main_script_shows_the_help_of_a_command_where_nothing_is_installed(
     clone: Path, command: str
 ) -> None:

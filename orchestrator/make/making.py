@@ -15,8 +15,9 @@ from mlbs_actors.errors import ConfigError
 from mlbs_actors.record.recorded_stream import description_of, edits_of, streams_of
 from orchestrator.make.choice import EVERYTHING, Choice
 from orchestrator.make.footage import Footage
-from orchestrator.make.kinds import KINDS, Manner, files_of, write
+from orchestrator.make.kinds import KINDS
 from orchestrator.make.moments import ALL, Span
+from orchestrator.make.writing import Manner, files_of, write
 from orchestrator.pictures.privacy import is_private
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.sources.address import parse_address
@@ -57,7 +58,7 @@ class Request:
     run : Path
     out : Path, optional
         A file, if it has an ending, else a folder to put it into; by default the folder ``made`` of each
-        stream. Of what is made as a folder (see :func:`~.kinds.files_of`) the name without its ending.
+        stream. Of what is made as a folder (see :func:`~.writing.files_of`) the name without its ending.
     suffix : str, optional
         Ending of the file, if ``out`` has none.
     stream : str, optional

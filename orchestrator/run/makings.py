@@ -27,8 +27,8 @@ def make_of_all(
     if not kinds:
         return
     # Imported here, because it imports the engine, which the driver needs for nothing else.
-    from orchestrator.make.kinds import Manner
     from orchestrator.make.making import MADE, Request, make
+    from orchestrator.make.writing import Manner
 
     ended = {state.name for state in states if state.committed and has_ended(state)}
     manner = Manner.usual()

@@ -31,7 +31,6 @@ from orchestrator.make.effects import EFFECTS
 from orchestrator.make.footage import Footage, Shot
 from orchestrator.make.kinds import KINDS
 from orchestrator.make.moments import ALL
-from orchestrator.option_values import MAKEABLE
 from orchestrator.run.job import Job
 from orchestrator.run.makings import make_of_all
 from orchestrator.run.run_folder import RunFolder
@@ -510,10 +509,6 @@ def test_a_folder_without_a_run_and_a_camera_are_refused(
     told = capsys.readouterr().err
     assert "is a camera" in told
     assert "hunter2" not in told
-
-
-def test_a_run_can_make_what_the_command_can() -> None:
-    assert tuple(KINDS) == MAKEABLE
 
 
 def test_a_run_makes_what_is_asked_of_each_file_that_has_ended(tmp_path: Path) -> None:
