@@ -31,12 +31,13 @@ from orchestrator.evaluation.mask_folders import mask_folders
 from orchestrator.evaluation.mask_scoring import score_masks
 from orchestrator.evaluation.options import COMPARED_COLUMNS, LATEX_COLUMNS, SCRIPT, evaluation_parser
 from orchestrator.evaluation.paper_tables import paper_sequences, paper_tables
-from orchestrator.evaluation.plots import require_matplotlib, write_plots
+from orchestrator.evaluation.plots import write_plots
 from orchestrator.evaluation.questions import Question, question_of
 from orchestrator.evaluation.reliability import reliability_table
 from orchestrator.evaluation.run_scoring import score_run
 from orchestrator.evaluation.scoring import EngineSetup, SequenceResult, warm_engine
 from orchestrator.evaluation.variants import Variant, VariantResults, run_variants
+from orchestrator.extra import require_matplotlib
 from orchestrator.run.versions import installed_versions
 
 __all__ = ["main"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,18 +14,9 @@ from orchestrator.evaluation.variants import VariantResults
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["require_matplotlib", "write_plots"]
+__all__ = ["write_plots"]
 
 _SUFFIXES = (".png", ".pdf")
-
-
-def require_matplotlib() -> None:
-    """Raise ConfigError if there is no matplotlib, before anything is scored."""
-    if importlib.util.find_spec("matplotlib") is None:
-        raise ConfigError(
-            "--plots needs matplotlib; install it with scripts/setup bench, or as the extra bench of "
-            "the wheel."
-        )
 
 
 def write_plots(folder: Path, rows: Sequence[VariantResults]) -> list[Path]:

@@ -6,10 +6,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import pyarrow
 
+from mlbs_actors.extras import needing
 from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.source import SourceFrame
+
+with needing("run"):
+    import pyarrow
 
 __all__ = ["StreamResult"]
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from pycocotools import mask as coco_mask
-
+from mlbs_actors.extras import needing
 from mlbs_actors.messages import Region
 from mlbs_actors.record.frame_row import ResultRow
+
+with needing("read"):
+    from pycocotools import mask as coco_mask
 
 __all__ = ["SEEN", "Ending", "ending"]
 

@@ -17,13 +17,14 @@ from benchmark.measurements.ray_cost import measure_ray
 from benchmark.measurements.sizes import measure_sizes
 from benchmark.measurements.streams import measure_streams
 from benchmark.options import METHODS, PEER_NAMES, benchmark_parser
-from benchmark.plots import draw, require_matplotlib
+from benchmark.plots import draw
 from benchmark.result import MeasurementResult
 from benchmark.settings import Settings
 from mlbs_actors.config import load_config
 from mlbs_actors.errors import ConfigError, MlbsError
 from orchestrator.evaluation import datasets
 from orchestrator.evaluation.figure_files import write_json
+from orchestrator.extra import require_matplotlib
 
 __all__ = ["main"]
 

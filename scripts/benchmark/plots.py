@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, Literal
 
 from mlbs_actors.errors import ConfigError
 
-__all__ = ["Plot", "draw", "require_matplotlib"]
+__all__ = ["Plot", "draw"]
 
 
 @dataclass(frozen=True)
@@ -34,12 +33,6 @@ class Plot:
     x: Sequence[Any]
     series: Mapping[str, Sequence[float]]
     form: Literal["lines", "bars"]
-
-
-def require_matplotlib() -> None:
-    """Raise ConfigError if there is no matplotlib, before anything is measured."""
-    if importlib.util.find_spec("matplotlib") is None:
-        raise ConfigError("--plots needs matplotlib; install it with scripts/setup bench.")
 
 
 def draw(plot: Plot, path: Path) -> None:

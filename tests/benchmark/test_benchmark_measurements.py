@@ -34,7 +34,7 @@ from benchmark.measurements.ray_cost import (
 )
 from benchmark.measurements.sizes import measure_sizes
 from benchmark.measurements.streams import StreamsCost, most_frames_a_second, streams_table
-from benchmark.plots import Plot, draw, require_matplotlib
+from benchmark.plots import Plot, draw
 from benchmark.settings import Settings
 from benchmark.through_ray.empty_parts import EmptyParts, last_messages
 from benchmark.through_ray.endless_video import EndlessReader, write_video
@@ -50,6 +50,7 @@ from benchmark.through_ray.process_costs import (
 from mlbs_actors import Config
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.scenes.synthetic import scene
+from orchestrator.extra import require_matplotlib
 
 ROOT = Path(__file__).resolve().parents[2]
 TICK = os.sysconf("SC_CLK_TCK")
@@ -318,7 +319,7 @@ def test_a_plot_is_a_png_whatever_is_unknown(tmp_path: Path, form: Literal["line
 
 
 def test_without_matplotlib_a_sentence_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("orchestrator.extra.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match="scripts/setup bench"):
         require_matplotlib()
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.plots import draw, require_matplotlib
+from benchmark.plots import draw
 from chaos.endurance.recovery_cost import measure_cost
 from chaos.endurance.soak import memory_plot, soak
 from chaos.harness.observed_run import ExpectationError
@@ -24,6 +24,7 @@ from chaos.options import chaos_parser
 from chaos.scenarios.catalogue import FAULTS
 from chaos.scenarios.kills import KILLS
 from mlbs_actors.errors import ConfigError, MlbsError
+from orchestrator.extra import require_matplotlib
 
 __all__ = ["main"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import cv2
@@ -77,10 +76,7 @@ def test_plots_are_written_for_looking_and_for_papers(
 def test_plots_without_matplotlib_are_refused_before_anything_is_scored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "matplotlib" else found(name)
-    )
+    monkeypatch.setattr("orchestrator.extra.find_spec", lambda name: None)
     with pytest.raises(SystemExit):
         main(["--sequences", "synthetic:nowhere", "--plots", str(tmp_path)])
     assert "--plots needs matplotlib; install it with scripts/setup bench" in capsys.readouterr().err
