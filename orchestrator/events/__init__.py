@@ -4,7 +4,7 @@ The way of an event::
 
     row of the record
       .happenings, .rule_machine    what is certain with it, by .zones and .rules; the state is .event_state
-      .event_file                   a line of events.jsonl; .stream_events adds pictures and views
+      .event_file, .event_marks     a line of events.jsonl; .stream_events adds pictures and views
     events.jsonl                    the process of the run looks for new lines
       .intake, .outbox              waits for each of .targets that wants it, by .event_filter
       .carrier                      takes it there, by .senders or .mqtt; all carriers are .delivery

@@ -1,14 +1,11 @@
 """``events.jsonl`` of a stream: the events of its record, a JSON object a line.
 
 A line is appended as soon as it is certain, so that it can be sent at once, and counts with the commit of the
-row that made it certain. After a kill the record goes on from its last commit, by other rules if they have
-changed, and the lines behind it are cut off. So with each commit it must be known what the events continue
-from after its last row, and how many there were: a *mark*, in ``.events``. There are those of the last two
-commits, as a mark is published before its commit, which may never come. Which of a camera's rows will be the
-last of a commit is known only when it is due; so the mark of every row waits in memory until then.
+row that made it certain. After a kill the record goes on from the mark of its last commit
+(:mod:`.event_marks`), by other rules if they have changed, and the lines behind it are cut off.
 
 Whoever sends the lines needs three things: numbers that ascend (the oldest lines can be deleted), ids that an
-event keeps if it comes again, and how many lines are final (:func:`committed_events`).
+event keeps if it comes again, and how many lines are final (:func:`.event_marks.committed_events`).
 """
 
 from __future__ import annotations
@@ -19,100 +16,28 @@ import os
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
-
 from mlbs_actors.record.frame_row import FrameRow
 from orchestrator.counts.count_files import CountFiles
-from orchestrator.counts.tally import CountState, Situation, Tally
+from orchestrator.counts.tally import Situation, Tally
 from orchestrator.events.event import Event, EventKind
+from orchestrator.events.event_marks import Mark, Step, draft_of_marks, marks_in, state_text
 from orchestrator.events.event_state import EventState
 from orchestrator.events.file_names import clip_name, picture_name
 from orchestrator.events.happenings import Happenings
 from orchestrator.events.zones import EventRules
-from orchestrator.storage.durable_files import publish, replace_file, temporary_path
+from orchestrator.storage.durable_files import publish, replace_file
 
-__all__ = ["EVENTS", "EventFile", "committed_events", "event_id"]
+__all__ = ["EVENTS", "EventFile", "event_id"]
 
 EVENTS = "events.jsonl"
 
-_MARKS = ".events"
-
 #: Events of an object that have a picture, if the stream has zones.
 _PICTURED = frozenset[EventKind](("born", "entered", "left", "crossed", "rule"))
-
-
-@dataclass(slots=True)
-class _Mark:
-    """Where the events continue after ``rows`` rows.
-
-    Attributes
-    ----------
-    rows : int
-    events : int
-        Number of them up to there.
-    began : float, optional
-        When a camera's stream began, seconds since 1970.
-    state : EventState
-    rules : str, optional
-        What tells the rules by which they were made from others; an earlier version's have none.
-    counts : CountState
-        What rows and events have come to.
-    asked : mapping of str to object, optional
-        What these rules and the other settings were.
-    """
-
-    rows: int
-    events: int
-    began: float | None = None
-    state: EventState = field(default_factory=EventState)
-    rules: str | None = None
-    counts: CountState = field(default_factory=CountState)
-    asked: dict[str, Any] | None = None
-
-
-_STATE = TypeAdapter(EventState)
-_MARK = TypeAdapter(_Mark)
-_MARKS_READ = TypeAdapter(list[_Mark])
-
-
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """What counts with a commit: a row, or what came between two of them, such as other rules.
-
-    Attributes
-    ----------
-    mark : _Mark
-        Where the events continue after it, without counts, and of its state without what is in ``followed``.
-    followed : bytes
-        The state as JSON, as of the last step that changed more than numbers in it; steps share it, as a
-        camera can have thousands of rows between two commits.
-    said : sequence of Event
-    row : FrameRow, optional
-    clock : float, optional
-        When it was taken, seconds since 1970.
-    situation : Situation, optional
-        After it.
-    """
-
-    mark: _Mark
-    followed: bytes
-    said: Sequence[Event] = ()
-    row: FrameRow | None = None
-    clock: float | None = None
-    situation: Situation | None = None
-
-    def whole_mark(self, rows: int, counts: CountState) -> bytes:
-        """Return the mark after so many rows as JSON, with these counts."""
-        known = _STATE.validate_json(self.followed)
-        state = replace(
-            self.mark.state, shown=known.shown, objects=known.objects, rules=known.rules, faults=known.faults
-        )
-        return _MARK.dump_json(replace(self.mark, rows=rows, state=state, counts=counts))
 
 
 class EventFile:
@@ -131,25 +56,25 @@ class EventFile:
 
     def __init__(self, folder: Path, stream: str, rules: EventRules, rows: int) -> None:
         self._path = folder / EVENTS
-        self._marks_path = folder / _MARKS
+        self._folder = folder
         self._stream = stream
-        found = [mark for mark in _read_marks(self._marks_path) if mark.rows == rows]
+        found = [mark for mark in marks_in(folder) if mark.rows == rows]
         # Without a mark, of an earlier version's record, what is there stays and the objects are born again.
         self._count_files = CountFiles(folder, stream)
-        mark = found[-1] if found else _Mark(rows, _cut(self._path, math.inf if rows else 0))
+        mark = found[-1] if found else Mark(rows, _cut(self._path, math.inf if rows else 0))
         if not found and rows:
             mark.counts.closed_bytes = self._count_files.length
         _cut(self._path, mark.events)
-        self._kept = _MARK.dump_json(mark)
+        self._kept = mark.text()
         self._events, self._began = mark.events, mark.began
         self._happenings = Happenings(rules, mark.state)
         self._digest = rules.digest
         self._asked = mark.asked if mark.rows else rules.described()
         self._was: dict[str, Any] | None = None
         self._tally = Tally(mark.counts)  # of the steps that count
-        self._followed = _STATE.dump_json(mark.state)
-        self._settled = _Step(self._mark(), self._followed)  # the last of them
-        self._steps: deque[_Step] = deque()  # the others
+        self._followed = state_text(mark.state)
+        self._settled = Step(self._mark(), self._followed)  # the last of them
+        self._steps: deque[Step] = deque()  # the others
         self._unwritten: list[str] = []
         if found and mark.rows and mark.rules != self._digest:
             self.configure(rules)
@@ -219,8 +144,7 @@ class EventFile:
         marks = [self._kept] if at_end else [before, self._kept]
         with self._path.open("ab") as file:
             os.fsync(file.fileno())
-        temporary_path(self._marks_path).write_bytes(b"[" + b",\n".join(marks) + b"]\n")
-        return [*counted, self._marks_path]
+        return [*counted, draft_of_marks(self._folder, marks)]
 
     def finish(self, rows: int) -> None:
         """Write what is certain as the stream has come to its end after so many rows."""
@@ -259,14 +183,14 @@ class EventFile:
                 picture = picture_name(row.frame, event.layer)
             self._unwritten.append(json.dumps(self._described(event, picture)) + "\n")
         if row is None or row.result is not None:
-            self._followed = _STATE.dump_json(self.state)
-        self._steps.append(_Step(self._mark(), self._followed, said, row, clock, situation))
+            self._followed = state_text(self.state)
+        self._steps.append(Step(self._mark(), self._followed, said, row, clock, situation))
         return pictured
 
-    def _mark(self) -> _Mark:
+    def _mark(self) -> Mark:
         """Return where the events continue now, without what they follow and have come to."""
         state = replace(self.state, shown=None, objects={}, rules={}, faults=[])
-        return _Mark(state.rows, self._events, self._began, state, self._digest, asked=self._asked)
+        return Mark(state.rows, self._events, self._began, state, self._digest, asked=self._asked)
 
     def _pictured(self, said: Sequence[Event], row: FrameRow) -> dict[int, set[str]]:
         pictured: dict[int, set[str]] = {}
@@ -328,11 +252,6 @@ def _other_than(others: dict[str, Any] | None, settings: dict[str, Any] | None) 
     return {name: value for name, value in settings.items() if others.get(name, missing) != value}
 
 
-def committed_events(folder: Path) -> int:
-    """Return the number of a stream's events that never change any more."""
-    return min((mark.events for mark in _read_marks(folder / _MARKS)), default=0)
-
-
 def _cut(path: Path, events: float) -> int:
     """Cut a file off behind the event of a number; return the number of the last one that is left."""
     if not path.exists():
@@ -347,13 +266,6 @@ def _cut(path: Path, events: float) -> int:
     if length < path.stat().st_size:
         os.truncate(path, length)
     return last
-
-
-def _read_marks(path: Path) -> list[_Mark]:
-    try:
-        return _MARKS_READ.validate_json(path.read_bytes())
-    except (FileNotFoundError, ValidationError):
-        return []
 
 
 def _iso(seconds: float) -> str:

@@ -10,7 +10,8 @@ from functools import partial
 from pathlib import Path
 
 from orchestrator.events.census import Census
-from orchestrator.events.event_file import EVENTS, committed_events
+from orchestrator.events.event_file import EVENTS
+from orchestrator.events.event_marks import committed_events
 from orchestrator.events.outbox import Outbox
 
 __all__ = ["Intake", "lines_behind"]
