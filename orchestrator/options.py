@@ -1,8 +1,9 @@
 """The options of a run, each written once.
 
-A field of :class:`Arguments` says all there is to say of an option. The parser and its help, the keys of a
-file of cameras, the command that goes on, what ``run.json`` holds, the check at ``--resume`` and a page of
-the docs come from there. Nothing has to be installed for it but Python.
+A field of :class:`Arguments` says all there is to say of an option; of those that a file of cameras can give,
+too, in :mod:`.stream_options`. The parser and its help, the keys of a file of cameras, the command that goes
+on, what ``run.json`` holds, the check at ``--resume`` and a page of the docs come from there. Nothing has to
+be installed for it but Python.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from orchestrator import option_values as values
+from orchestrator import stream_options as of_streams
 from orchestrator.credentials import PASSWORD_VARIABLE
 from orchestrator.log import FORMATS, LogFormat
 from orchestrator.make.kinds import KINDS
@@ -87,19 +89,7 @@ class Arguments:
             page="configuration.md",
         ),
     ] = None
-    set: Annotated[
-        tuple[str, ...],
-        Option(
-            "parameters, after those of --config; for example layers.lookahead=4",
-            "SECTION.KEY=VALUE",
-            form=Form.WORDS,
-            read=tuple,
-            write=list,
-            effect=Effect.EPOCH,
-            of_streams=True,
-            page="configuration.md",
-        ),
-    ] = ()
+    set: Annotated[tuple[str, ...], of_streams.SET] = ()
     address: Annotated[
         str | None,
         Option(
@@ -119,32 +109,8 @@ class Arguments:
             page="recovery.md",
         ),
     ] = False
-    save: Annotated[
-        frozenset[str],
-        Option(
-            f"which of {', '.join(values.SAVABLE)} to write, with commas (default: the first three)",
-            "PARTS",
-            read=values.parts,
-            write=lambda save: [",".join(part for part in values.SAVABLE if part in save)],
-            record=sorted,
-            effect=Effect.RESTART,
-            of_streams=True,
-            page="outputs.md",
-        ),
-    ] = frozenset(values.SAVED)
-    draw: Annotated[
-        frozenset[str],
-        Option(
-            f"what overlays and other pictures show beside the objects: any of {', '.join(values.DRAWABLE)}, "
-            'with commas, or "" for nothing (default: the first three)',
-            "WHAT",
-            read=values.drawn,
-            write=lambda drawn: [",".join(what for what in values.DRAWABLE if what in drawn)],
-            effect=Effect.RESTART,
-            of_streams=True,
-            page="outputs.md#what-pictures-show",
-        ),
-    ] = frozenset(values.DRAWN)
+    save: Annotated[frozenset[str], of_streams.SAVE] = frozenset(values.SAVED)
+    draw: Annotated[frozenset[str], of_streams.DRAW] = frozenset(values.DRAWN)
     make: Annotated[
         tuple[str, ...],
         Option(
@@ -156,18 +122,7 @@ class Arguments:
             page="make.md",
         ),
     ] = ()
-    time_zone: Annotated[
-        str | None,
-        Option(
-            "time zone of the times in pictures, such as Europe/Berlin (default: that of this machine)",
-            "NAME",
-            read=values.time_zone,
-            write=values.one_word,
-            effect=Effect.RESTART,
-            of_streams=True,
-            page="outputs.md#what-pictures-show",
-        ),
-    ] = None
+    time_zone: Annotated[str | None, of_streams.TIME_ZONE] = None
     private: Annotated[
         bool,
         Option(
@@ -214,37 +169,8 @@ class Arguments:
             record=values.as_given,
         ),
     ] = None
-    max_side: Annotated[
-        int | None,
-        Option(
-            "process pictures shrunk to N px on the longer side; all results have full size, with "
-            "outlines as coarse as the smaller picture (default: process them as they are)",
-            "N",
-            read=values.side,
-            write=values.one_word,
-            record=values.as_given,
-            effect=Effect.EPOCH,
-            of_streams=True,
-            page="scaling.md",
-        ),
-    ] = None
-    ignore: Annotated[
-        "Ignored",
-        Option(
-            "what is fixed in the picture of the stream NAME (default: of all), besides what is found"
-            " by itself: a picture in which it is not 0, or a text file with a polygon on each line, "
-            "x1,y1,x2,y2,… from 0 to 1 of the picture's width and height; may be given again for "
-            "other streams",
-            "[NAME=]FILE",
-            form=Form.REPEATED,
-            read=values.ignored,
-            write=lambda ignored: list(ignored.digests),
-            record=lambda ignored: ignored.digests or None,
-            effect=Effect.RESTART,
-            of_streams=True,
-            page="method.md#what-is-fixed-in-the-picture",
-        ),
-    ]
+    max_side: Annotated[int | None, of_streams.MAX_SIDE] = None
+    ignore: Annotated["Ignored", of_streams.IGNORE]
     flow: Annotated[
         Path | None,
         Option(
@@ -319,37 +245,8 @@ class Arguments:
             page="events.md#sending-them",
         ),
     ] = None
-    segment: Annotated[
-        int | None,
-        Option(
-            "write the record of each camera in segments of an hour, a day, or so many seconds: a "
-            "folder DIR/NAME/TIME for each, with one archive of all masks (default: none; with --keep"
-            " hour)",
-            "TIME",
-            read=values.segment,
-            write=values.one_word,
-            record=values.as_given,
-            effect=Effect.RESTART,
-            of_streams=True,
-            page="outputs.md#cameras-in-segments",
-        ),
-    ] = None
-    keep: Annotated[
-        "Keep | None",
-        Option(
-            "of cameras delete the oldest closed segments, so that what is left is not older than an "
-            "age, such as 7d, or all together not larger than a size, such as 50GB; may be given "
-            "twice, once for each",
-            "LIMIT",
-            form=Form.REPEATED,
-            read=values.keep,
-            write=lambda keep: list(keep.words),
-            record=lambda keep: list(keep.words),
-            effect=Effect.AT_ONCE,
-            of_streams=True,
-            page="outputs.md#what-is-kept",
-        ),
-    ] = None
+    segment: Annotated[int | None, of_streams.SEGMENT] = None
+    keep: Annotated["Keep | None", of_streams.KEEP] = None
     watch: Annotated[
         bool,
         Option(
@@ -361,19 +258,7 @@ class Arguments:
             page="command_line.md#a-list-that-changes",
         ),
     ] = False
-    give_up_after: Annotated[
-        int | None,
-        Option(
-            "end the stream of a camera that sent no picture for this long, also at the start "
-            "(default: try it again for ever)",
-            "SECONDS",
-            read=values.at_least_one,
-            write=values.one_word,
-            effect=Effect.RESTART,
-            of_streams=True,
-            page="command_line.md#cameras",
-        ),
-    ] = None
+    give_up_after: Annotated[int | None, of_streams.GIVE_UP_AFTER] = None
     places: Annotated[
         int | None,
         Option(
