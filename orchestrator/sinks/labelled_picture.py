@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 
-from mlbs_actors.messages import Array, Region
+from mlbs_actors.messages import Array, Region, Segmentation
 from mlbs_actors.pictures.drawing import draw_caption, draw_labels, draw_outlines
 from mlbs_actors.record.scene_place import ScenePlace
+from mlbs_actors.source import SourceFrame
 from orchestrator.events.outlines import outlines
 from orchestrator.events.zones import Zone
 from orchestrator.pictures.content import Drawing
@@ -48,6 +49,27 @@ class LabelledPicture:
     regions: Mapping[int, Region] | None = None
     pixel_aspect: float = 1.0
     scene: ScenePlace | None = None
+
+    @classmethod
+    def of(
+        cls,
+        segmentation: Segmentation,
+        frame: SourceFrame,
+        image: Array,
+        taken: float | None,
+        scene: ScenePlace | None,
+    ) -> LabelledPicture:
+        """Return a frame's picture ``image`` with its labels; for the others see the attributes."""
+        return cls(
+            image=image,
+            labels=segmentation.labels,
+            index=frame.index,
+            pts=frame.pts,
+            taken=taken,
+            regions={layer.layer: layer.region for layer in segmentation.layers},
+            pixel_aspect=frame.pixel_aspect,
+            scene=scene,
+        )
 
     def drawn(self, zones: Sequence[Zone], drawing: Drawing, most_width: int | None = None) -> Array:
         """Draw labels, zones and a caption over the picture.

@@ -36,7 +36,8 @@ from orchestrator.sinks.label_image import encode_label_image, encode_picture
 from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sinks.live_picture import LivePicture
 from orchestrator.sinks.object_files import ObjectFiles
-from orchestrator.sinks.overlay import OverlayVideo, overlay_path
+from orchestrator.sinks.overlay import overlay_path
+from orchestrator.sinks.shown_pictures import ShownPictures
 from orchestrator.sinks.still import Still
 from orchestrator.sources.address import SourceAddress
 from orchestrator.storage.commit_log import CommitLog
@@ -115,16 +116,13 @@ class StreamRecord:
         drawing: Drawing = DEFAULT_DRAWING,
         clock: Callable[[], float] | None = None,
     ) -> None:
-        self._rules = rules = rules or EventRules()
+        rules = rules or EventRules()
         self._clock = clock or time.time
-        self._source = source
         self._folder = folder
         self._name = name
         self._save = save
-        self._live_picture = live_picture
-        self._still = Still(folder) if live else None
+        self._shown = ShownPictures(rules.zones, drawing, live_picture, Still(folder) if live else None)
         self._live = live
-        self._drawing = drawing
         self._rows: list[FrameRow] = []
         self._provisional = False
         self._begins_with = 0  # first frame of which the lists know
@@ -150,9 +148,8 @@ class StreamRecord:
         self.opening = Opening(self._snapshots.place, before)
         self._label_maps = 0 if before is None else before.label_maps
         self._committed = self._label_maps
-        self._overlay: OverlayVideo | None = None
         if "overlay" in save and self._segments is None:
-            self._overlay = OverlayVideo(overlay_path(folder, self._log.rows), source, rules.zones, drawing)
+            self._shown.begin_overlay(overlay_path(folder, self._log.rows), source)
 
     def write(
         self, segmentation: Segmentation, frame: SourceFrame, background: LayerAppearance | None = None
@@ -179,26 +176,11 @@ class StreamRecord:
             self._add(row)
         except OSError as error:
             raise self._unwritable(error) from None
-        if self._segments is not None and self._overlay is None and "overlay" in self._save:
-            path = overlay_path(self._segments.folder, frame.index)
-            self._overlay = OverlayVideo(path, None, self._rules.zones, self._drawing, growing=True)
+        if self._segments is not None and "overlay" in self._save and not self._shown.has_overlay:
+            self._shown.begin_overlay(overlay_path(self._segments.folder, frame.index), growing=True)
         if frame.image is not None:
-            shown = LabelledPicture(
-                image=frame.image,
-                labels=segmentation.labels,
-                index=frame.index,
-                pts=frame.pts,
-                taken=self._events.file.taken_at(frame.pts),
-                regions={layer.layer: layer.region for layer in segmentation.layers},
-                pixel_aspect=frame.pixel_aspect,
-                scene=scene,
-            )
-            if self._overlay is not None:
-                self._overlay.add(shown)
-            if self._live_picture is not None:
-                self._live_picture.show(shown)
-            if self._still is not None:
-                self._still.show(frame.image)
+            taken = self._events.file.taken_at(frame.pts)
+            self._shown.show(LabelledPicture.of(segmentation, frame, frame.image, taken, scene))
         return self._committed
 
     def gap(self, index: int, pts: float, status: GapStatus) -> int:
@@ -223,10 +205,7 @@ class StreamRecord:
     def configure(self, settings: object) -> None:
         """Follow other rules of events, which are an :class:`EventRules`, from the next row on."""
         assert isinstance(settings, EventRules)
-        self._rules = settings
-        for shown in (self._live_picture, self._overlay):
-            if shown is not None:
-                shown.zones = settings.zones
+        self._shown.follow(settings.zones)
         try:
             with self._log.exclusive():
                 self._events.configure(settings, self._log.rows)
@@ -275,10 +254,7 @@ class StreamRecord:
             self._events.discard()
         except OSError as error:
             raise self._unwritable(error) from None
-        if self._overlay is not None:
-            self._overlay.close()
-        if self._live_picture is not None:
-            self._live_picture.close()
+        self._shown.close()
         if whole:
             self._snapshots.forget_all()
         return self._committed
@@ -356,9 +332,8 @@ class StreamRecord:
     def _advance(self, row: FrameRow) -> None:
         """Begin another segment if a commit with this last row is the first of one."""
         assert self._segments is not None
-        if self._segments.advance(self._taken_at(row.pts)) and self._overlay is not None:
-            self._overlay.close()
-            self._overlay = None  # the next frame begins another
+        if self._segments.advance(self._taken_at(row.pts)):
+            self._shown.end_overlay()  # the next frame begins another
 
     def _forget_deleted(self) -> None:
         """Take out of the lists what is from before the oldest segment that is left."""
