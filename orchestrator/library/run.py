@@ -32,8 +32,9 @@ from orchestrator.run.hosting import Room, admission_to, host_of
 from orchestrator.run.job import Job
 from orchestrator.run.listed_stream import ListedStream, StreamsFile
 from orchestrator.run.need import USUAL_NEED
-from orchestrator.run.run_folder import RunFolder, StatusFile
+from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.spec_change import SpecChange
+from orchestrator.run.status_file import STATUS, StatusFile
 from orchestrator.run.stream_state import ENDED, StreamState
 
 __all__ = ["Run"]
@@ -108,7 +109,7 @@ class Run(Generic[Yielded]):
             held.callback(end, [self._queue])
             self._host = host_of(self._folder.path, room.places, room.need, _log.info, shared=shared)
             self._held = held.pop_all()  # until it is closed
-        self._status = StatusFile(self._folder.path / "status.json")
+        self._status = StatusFile(self._folder.path / STATUS)
         self._driver = Driver(
             [self._spec(spec) for spec in self._job.specs],
             self._host,

@@ -6,7 +6,7 @@ Read in this order: ``run`` (from the arguments to the exit status), ``listed_st
 an earlier run has left), ``driver``, ``driven_stream`` and ``spec_change`` (the loop, a stream in it, and
 changes that it follows), ``admission`` and ``load`` (which streams may start, and what they take),
 ``node_check`` and ``versions`` (which nodes of a cluster can be used), ``stream_state``, ``recovery`` (which
-streams restart), ``run_folder``, ``whole_overlays``.
+streams restart), ``run_folder`` with ``run_description`` and ``status_file``, ``whole_overlays``.
 """
 
 from orchestrator.extra import require_run

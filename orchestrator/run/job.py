@@ -29,7 +29,8 @@ from orchestrator.run.listed_stream import ListedStream, OwnSettings, StreamsFil
 from orchestrator.run.reader_opening import ReaderOpening
 from orchestrator.run.resumption import with_new_names
 from orchestrator.run.retention_limits import Keep
-from orchestrator.run.run_folder import RunFolder, describe_run
+from orchestrator.run.run_description import describe_run
+from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.spec_change import SpecChange
 from orchestrator.run.stream_settings import StreamSettings, changes_between, settings_of, words_of_changes
 from orchestrator.sinks.live_picture import LivePicture, live_picture_path

@@ -52,7 +52,8 @@ from orchestrator.run.resumption import (
     words_on_resuming,
 )
 from orchestrator.run.retention import Retention
-from orchestrator.run.run_folder import RunFolder, StatusFile
+from orchestrator.run.run_folder import RunFolder
+from orchestrator.run.status_file import STATUS, StatusFile
 from orchestrator.run.stream_list import cameras_file, refuse_if_all
 from orchestrator.run.stream_state import StreamState, exit_code, stopped, with_record
 from orchestrator.run.whole_overlays import make_all_whole
@@ -139,7 +140,7 @@ def run(
         )
         retention = Retention(folder.path, job.keeps, log.warn)
         status = StatusFile(
-            folder.path / "status.json",
+            folder.path / STATUS,
             kept=lambda: retention.figures,
             backlogs=deliveries.backlogs,
             published=lambda: publication.figures,

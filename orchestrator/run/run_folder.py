@@ -1,39 +1,30 @@
-"""The files of a whole run: its description (``run.json``), its progress (``status.json``), its report."""
+"""The output folder of a run: claimed once, locked while it is at work, gone on with only as it was begun."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-import platform
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
-from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
-from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.record.recorded_stream import read_description
 from orchestrator.command_options import flag_of
-from orchestrator.credentials import mask
-from orchestrator.events.delivery import Backlog
 from orchestrator.option import Effect
 from orchestrator.options import options
 from orchestrator.run.identity import goes_on, is_camera
-from orchestrator.run.listed_stream import ListedStream
+from orchestrator.run.status_file import recorded_states
 from orchestrator.run.stream_settings import words_of_changes
-from orchestrator.run.stream_state import ENDED, StreamState, has_ended
-from orchestrator.run.versions import installed_versions
+from orchestrator.run.stream_state import StreamState, has_ended
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.storage.durable_files import replace_file
 
-__all__ = ["RunFolder", "StatusFile", "describe_run"]
+__all__ = ["RunFolder"]
 
 #: Keys of ``run.json`` that must not change while there is a file that has not come to its end.
 _SAME = {"config": "parameters"} | {
@@ -46,15 +37,6 @@ _SAME = {"config": "parameters"} | {
 _FIXED = {
     name: flag_of(name) for name, option in options() if option.effect is Effect.FIXED and option.record
 }
-
-#: Keys that stay as they were when a run was begun.
-_LASTING = ("started", "versions", "machine")
-
-#: Least time between two writings of ``status.json``, s.
-_STATUS_SECONDS = 0.5
-
-#: A run that has not written it for so long is dead, s.
-_ALIVE_SECONDS = 30.0
 
 
 class RunFolder:
@@ -141,12 +123,8 @@ class RunFolder:
                 raise ConfigError(f"The run in {self.path} had other {meaning} ({changes}); {advice}")
 
     def states(self) -> dict[str, StreamState]:
-        """Read the streams of ``status.json``; none if it cannot be read."""
-        try:
-            streams = json.loads((self.path / "status.json").read_text(encoding="utf-8"))["streams"]
-            return {name: _state(name, figures) for name, figures in streams.items()}
-        except (OSError, ValueError, KeyError, TypeError):
-            return {}
+        """Return the states of the streams, by name; none if they cannot be read."""
+        return recorded_states(self.path)
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -202,149 +180,3 @@ class RunFolder:
     def redescribe(self, description: dict[str, Any]) -> None:
         """Replace ``run.json`` by the new description; OSError if it cannot be written."""
         replace_file(self.path / "run.json", (json.dumps(description, indent=2) + "\n").encode())
-
-
-class StatusFile:
-    """Keeps ``status.json`` up to date; an observer of the driver.
-
-    Parameters
-    ----------
-    path : Path
-    clock : callable
-        Monotonic time, s.
-    kept : callable, optional
-        Returns what :class:`orchestrator.run.retention.Retention` has done; None if all is kept.
-    backlogs : callable, optional
-        Returns what the targets of events have not acknowledged.
-    published : callable, optional
-        Returns how far the object store is; None without one.
-
-    Attributes
-    ----------
-    stopping : callable
-        Whether the run has been told to end. That is written at once, as the run may be killed while it
-        finishes what was read.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        clock: Callable[[], float] = time.monotonic,
-        kept: Callable[[], Mapping[str, Any] | None] = lambda: None,
-        backlogs: Callable[[], Sequence[Backlog]] = list,
-        published: Callable[[], Mapping[str, Any] | None] = lambda: None,
-    ) -> None:
-        self.stopping: Callable[[], bool] = lambda: False
-        self._path = path
-        self._kept = kept
-        self._backlogs = backlogs
-        self._published = published
-        self._clock = clock
-        self._written_at: float | None = None
-        self._written_as_stopping = False
-
-    def update(self, states: Sequence[StreamState]) -> None:
-        """Write the states, not more often than twice a second.
-
-        A full or lost disk does not end the run here: the streams' own records report it.
-        """
-        now = self._clock()
-        is_early = self._written_at is not None and now - self._written_at < _STATUS_SECONDS
-        if is_early and self.stopping() == self._written_as_stopping:
-            return
-        self._written_at = now
-        try:
-            self._write(states, None)
-        except OSError:
-            return
-
-    def finish(self, states: Sequence[StreamState], exit_status: int) -> None:
-        """Write the final states; OSError if they cannot be written."""
-        self._write(states, exit_status)
-
-    def _write(self, states: Sequence[StreamState], exit_status: int | None) -> None:
-        streams = {}
-        for state in states:
-            figures = state.figures()
-            streams[figures.pop("name")] = figures
-        now, over = datetime.now(timezone.utc), exit_status is not None
-        self._written_as_stopping = self.stopping()
-        status = {
-            "updated": _iso(now),
-            "alive_until": None if over else _iso(now + timedelta(seconds=_ALIVE_SECONDS)),
-            "ended": over or self._written_as_stopping,
-            "exit_status": exit_status,
-            "waiting": sum(state.state == "waiting" for state in states),
-            "running": sum(state.state != "waiting" and state.state not in ENDED for state in states),
-            "kept": self._kept(),
-            "events": [backlog.figures() for backlog in self._backlogs()],
-            "streams": streams,
-        }
-        if (published := self._published()) is not None:
-            status["published"] = published
-        replace_file(self._path, (json.dumps(status, indent=1) + "\n").encode())
-
-
-def describe_run(
-    streams: Sequence[ListedStream],
-    config: Config,
-    asked: Mapping[str, object],
-    command: Sequence[str] = (),
-    before: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
-    """Return the content of ``run.json``: everything that the results depend on, without credentials.
-
-    Parameters
-    ----------
-    streams : sequence of ListedStream
-    config : Config
-    asked : mapping of str to object
-        The options of the command, from :func:`orchestrator.options.recorded`.
-    command : sequence of str
-        Starts the same run.
-    before : mapping, optional
-        The content before, whose sources stay, as those of streams that are not listed any more are needed to
-        export their results; and with it what is said of the run's beginning.
-    """
-    parameters = config.model_dump(mode="json")
-    earlier = {} if before is None else dict(before)
-    sources = {**earlier.get("sources", {}), **{stream.name: str(stream.source) for stream in streams}}
-    description = {
-        "started": _now(),
-        "config": parameters,
-        "sources": sources,
-        "settings": earlier.get("settings", {}),
-        **asked,
-        "command": [mask(word) for word in command],
-        "hashes": {"config": _digest(parameters), "sources": _digest(sources)},
-        "versions": installed_versions(),
-        "machine": {"cpu": _cpu(), "system": platform.platform()},
-    }
-    return description | {key: earlier[key] for key in _LASTING if key in earlier}
-
-
-def _state(name: str, figures: dict[str, Any]) -> StreamState:
-    """Rebuild a state from its figures, without the derived ones."""
-    own = {field.name for field in fields(StreamState)}
-    return StreamState(name, **{key: value for key, value in figures.items() if key in own})
-
-
-def _digest(value: object) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        return platform.machine()
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return mask(next(names, platform.machine()))
-
-
-def _now() -> str:
-    return _iso(datetime.now(timezone.utc))
-
-
-def _iso(time: datetime) -> str:
-    return time.isoformat(timespec="milliseconds")

@@ -13,7 +13,9 @@ from mlbs_actors.messages import LayerSummary, Region, Segmentation
 from mlbs_actors.source import SourceFrame
 from orchestrator.options import recorded
 from orchestrator.run.listed_stream import ListedStream
-from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.run.run_description import describe_run
+from orchestrator.run.run_folder import RunFolder
+from orchestrator.run.status_file import StatusFile
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address

@@ -39,7 +39,9 @@ from orchestrator.option_values import SAVED
 from orchestrator.options import recorded
 from orchestrator.ray_session import ray_settings
 from orchestrator.run.argument_streams import DEMO
-from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.run.run_description import describe_run
+from orchestrator.run.run_folder import RunFolder
+from orchestrator.run.status_file import StatusFile
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
 

@@ -15,7 +15,8 @@ from orchestrator import command
 from orchestrator.command import run_command
 from orchestrator.ignored import read_ignored
 from orchestrator.options import recorded
-from orchestrator.run.run_folder import RunFolder, describe_run
+from orchestrator.run.run_description import describe_run
+from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.stream_list import read_stream_list
 
 

@@ -45,7 +45,8 @@ from mlbs_actors.stored_motion import StoredMotion
 from orchestrator.run import driven_stream
 from orchestrator.run.recovery import MOST_RETURNS, Returns
 from orchestrator.run.resumption import ended_before
-from orchestrator.run.run_folder import RunFolder, StatusFile
+from orchestrator.run.run_folder import RunFolder
+from orchestrator.run.status_file import StatusFile
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.record import GROUP_FRAMES, StreamRecord, ends_group, recorded_frames
 from orchestrator.storage import commit_log, durable_files

@@ -19,7 +19,8 @@ from orchestrator.export.__main__ import main
 from orchestrator.export.replay import with_pictures
 from orchestrator.options import recorded
 from orchestrator.run.listed_stream import ListedStream
-from orchestrator.run.run_folder import RunFolder, describe_run
+from orchestrator.run.run_description import describe_run
+from orchestrator.run.run_folder import RunFolder
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sinks.private_record import PrivateRecord
 from orchestrator.sinks.record import StreamRecord

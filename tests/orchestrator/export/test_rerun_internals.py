@@ -22,7 +22,8 @@ from orchestrator.export.__main__ import main
 from orchestrator.export.replay import InspectedFrame
 from orchestrator.options import recorded
 from orchestrator.run.listed_stream import ListedStream
-from orchestrator.run.run_folder import RunFolder, describe_run
+from orchestrator.run.run_description import describe_run
+from orchestrator.run.run_folder import RunFolder
 from orchestrator.sinks.record import StreamRecord
 from orchestrator.sources.address import parse_address
 from orchestrator.working_size import FullSizeRecord, shrunk

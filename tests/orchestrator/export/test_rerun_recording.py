@@ -20,7 +20,8 @@ from mlbs_actors.scenes.synthetic import scene
 from orchestrator.export.__main__ import main
 from orchestrator.options import recorded
 from orchestrator.run.listed_stream import ListedStream
-from orchestrator.run.run_folder import RunFolder, describe_run
+from orchestrator.run.run_description import describe_run
+from orchestrator.run.run_folder import RunFolder
 from orchestrator.sources.address import parse_address
 
 # pycocotools decodes through an __array__ method that NumPy 2 finds outdated.

@@ -7,7 +7,8 @@ from pathlib import Path
 from orchestrator.run.identity import other_source
 from orchestrator.run.listed_stream import ListedStream
 from orchestrator.run.resumption import gone_from_list
-from orchestrator.run.run_folder import RunFolder, StatusFile
+from orchestrator.run.run_folder import RunFolder
+from orchestrator.run.status_file import StatusFile
 from orchestrator.run.stream_state import StreamState, has_ended
 from orchestrator.sources.address import parse_address
 from orchestrator.storage.commit_log import CommitLog

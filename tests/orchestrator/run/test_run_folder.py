@@ -19,7 +19,9 @@ from orchestrator.events.delivery import Backlog
 from orchestrator.options import recorded
 from orchestrator.run.closing_words import closing_words, what_to_look_at
 from orchestrator.run.listed_stream import ListedStream
-from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.run.run_description import describe_run
+from orchestrator.run.run_folder import RunFolder
+from orchestrator.run.status_file import StatusFile
 from orchestrator.run.stream_state import StreamState
 from orchestrator.sources.address import parse_address
 from orchestrator.storage import durable_files

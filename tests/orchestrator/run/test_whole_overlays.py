@@ -23,7 +23,9 @@ from mlbs_actors.source import SourceFrame
 from orchestrator.options import recorded
 from orchestrator.pictures.content import DEFAULT_DRAWING
 from orchestrator.run.job import Job
-from orchestrator.run.run_folder import RunFolder, StatusFile, describe_run
+from orchestrator.run.run_description import describe_run
+from orchestrator.run.run_folder import RunFolder
+from orchestrator.run.status_file import StatusFile
 from orchestrator.run.stream_list import read_stream_list
 from orchestrator.run.stream_state import StreamState
 from orchestrator.run.whole_overlays import is_in_parts, is_lost, make_all_whole, make_whole
