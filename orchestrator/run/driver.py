@@ -38,7 +38,7 @@ from orchestrator.run.stream_state import (
 )
 from orchestrator.storage.durable_files import UnwritableError
 
-__all__ = ["Driver", "Observer", "Prior"]
+__all__ = ["Driver", "KnownStreams", "Observer"]
 
 #: Longest time until a signal is noticed, s.
 _WAKE_SECONDS = 0.2
@@ -52,7 +52,7 @@ class Observer(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Prior:
+class KnownStreams:
     """What is known of streams before the run drives them, by name.
 
     Attributes
@@ -70,7 +70,7 @@ class Prior:
     ended: Mapping[str, StreamState] = field(default_factory=dict)
 
 
-_NOTHING_KNOWN = Prior()
+_NOTHING_KNOWN = KnownStreams()
 
 
 class Driver:
@@ -87,7 +87,7 @@ class Driver:
     observers : sequence of Observer
     interruption : Interruption
         Checked between events.
-    prior : Prior
+    known : KnownStreams
     changes : callable, optional
         Called repeatedly for streams to add and names to end; with it the run continues until a signal.
     is_behind : callable, optional
@@ -105,19 +105,19 @@ class Driver:
         admission: Admission,
         observers: Sequence[Observer],
         interruption: Interruption,
-        prior: Prior = _NOTHING_KNOWN,
+        known: KnownStreams = _NOTHING_KNOWN,
         changes: Callable[[], SpecChange | None] | None = None,
         is_behind: Callable[[str, int], bool] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._streams = {
             spec.name: DrivenStream(
-                spec, host, clock, prior.lengths.get(spec.name), prior.loads.get(spec.name, 0.0)
+                spec, host, clock, known.lengths.get(spec.name), known.loads.get(spec.name, 0.0)
             )
             for spec in specs
         }
         self._earlier: dict[str, StreamState] = {}  # of which no more is known
-        for name, state in prior.ended.items():
+        for name, state in known.ended.items():
             if name in self._streams:
                 self._streams[name].state = state
             else:

@@ -35,7 +35,7 @@ from orchestrator.report.page import render_report
 from orchestrator.run.admission import cores
 from orchestrator.run.argument_streams import DEMO
 from orchestrator.run.closing_words import closing_words
-from orchestrator.run.driver import Driver, Observer, Prior
+from orchestrator.run.driver import Driver, KnownStreams, Observer
 from orchestrator.run.edit_zones import ZoneFiles
 from orchestrator.run.expected_time import words_on_expected_time
 from orchestrator.run.hosting import Room, admission_to, host_of
@@ -300,7 +300,7 @@ def _drive(
                 admission=admission_to(host, room, _allowed(arguments, room)),
                 observers=[status, *onlookers, progress],
                 interruption=interruption,
-                prior=Prior(lengths, loads, ended),
+                known=KnownStreams(lengths, loads, ended),
                 changes=job.changes if arguments.watch else None,
             )
             try:

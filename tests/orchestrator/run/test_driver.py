@@ -18,7 +18,7 @@ from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, St
 from mlbs_actors.errors import ActorLostError, NoPlaceError, SourceError
 from orchestrator.interruption import Interruption, StopAtOnce
 from orchestrator.run import driver as driver_module
-from orchestrator.run.driver import Prior
+from orchestrator.run.driver import KnownStreams
 from orchestrator.run.recovery import MOST_RETURNS, STALL_SECONDS
 from orchestrator.run.spec_change import SpecChange
 from orchestrator.run.stream_state import (
@@ -324,14 +324,14 @@ def test_a_signal_while_a_stream_goes_back_leaves_it_to_be_resumed() -> None:
 
 def test_a_waiting_stream_is_shown_with_what_it_will_read_of_its_length() -> None:
     specs = [spec("a", 5), spec("b", 50), spec("c")]
-    driver = driver_of(specs, FakeHost({}), prior=Prior(lengths={"a": 20, "b": 20}))
+    driver = driver_of(specs, FakeHost({}), known=KnownStreams(lengths={"a": 20, "b": 20}))
     assert [state.length for state in driver.states] == [5, 20, None]
 
 
 def test_streams_that_ended_in_an_earlier_run_are_left_alone() -> None:
     host = FakeHost({"new": FakeStream(4)})
     ended = {"old": StreamState("old", "done", read=9, committed=9)}
-    driver = driver_of(["old", "new"], host, at_once=2, prior=Prior(ended=ended))
+    driver = driver_of(["old", "new"], host, at_once=2, known=KnownStreams(ended=ended))
     assert driver.run() == 0
     assert host.started == ["new"]
     assert driver.states[0] == ended["old"]
@@ -359,7 +359,7 @@ def test_what_a_camera_took_when_it_was_stopped_is_known_when_it_is_resumed() ->
     stopped_door = after_interruption(running, progress(20, done=True))
     assert stopped_door.cores == 0
     loads = {"door": stopped_door.earlier_cores}
-    door = driver_of(["door", "new"], FakeHost({}), prior=Prior(loads=loads))
+    door = driver_of(["door", "new"], FakeHost({}), known=KnownStreams(loads=loads))
     assert [state.earlier_cores for state in door.states] == [0.3, 0.0]
 
 

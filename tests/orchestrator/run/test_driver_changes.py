@@ -13,7 +13,7 @@ from mlbs_actors.actors.stream.protocol import RunningStream, StreamProgress, St
 from mlbs_actors.source import FrameReader
 from orchestrator.interruption import Interruption
 from orchestrator.run import driver as driver_module
-from orchestrator.run.driver import Prior
+from orchestrator.run.driver import KnownStreams
 from orchestrator.run.spec_change import SpecChange
 from orchestrator.run.stream_state import ENDED, StreamState
 from orchestrator.storage.durable_files import UnwritableError
@@ -302,7 +302,7 @@ def test_a_stream_of_an_earlier_run_that_the_list_names_again_goes_on_unless_it_
 
     host = FakeHost({"camera": again})
     driver = driver_of(
-        [], host, interruption=interruption, changes=changes, prior=Prior(ended={"camera": earlier})
+        [], host, interruption=interruption, changes=changes, known=KnownStreams(ended={"camera": earlier})
     )
     assert driver.states == (earlier,)
     driver.run()
