@@ -30,8 +30,9 @@ from orchestrator.evaluation.figures import (
 from orchestrator.evaluation.mask_folders import mask_folders
 from orchestrator.evaluation.mask_scoring import score_masks
 from orchestrator.evaluation.options import COMPARED_COLUMNS, LATEX_COLUMNS, SCRIPT, evaluation_parser
-from orchestrator.evaluation.paper_tables import paper_sequences, paper_tables
+from orchestrator.evaluation.paper_tables import paper_tables
 from orchestrator.evaluation.plots import write_plots
+from orchestrator.evaluation.published_figures import paper_sequences
 from orchestrator.evaluation.questions import Question, question_of
 from orchestrator.evaluation.reliability import reliability_table
 from orchestrator.evaluation.run_scoring import score_run

@@ -1,7 +1,6 @@
 """The tables of the paper's evaluation (§8), with the figures of this program beside the published ones.
 
-Published figures are those of Zhu and Elgammal (ICCV 2017) for the ten sequences of the Berkeley Motion
-Segmentation data set. Unknown ones are left open (``-``), never estimated.
+Published figures that are not known are left open (``-``), never estimated.
 
 Differs from the paper: its overall means also cover five sequences of the Complex Background Data-set (drive,
 forest, parking, store, traffic), which are left out here. Every mean over sequences, the published ones of
@@ -14,24 +13,24 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from mlbs_actors.errors import ConfigError
 from orchestrator.evaluation.figures import format_number, format_table, mean_of_sequences
+from orchestrator.evaluation.published_figures import (
+    METHODS,
+    MULTI_LABEL,
+    SEQUENCES,
+    STAGES,
+    TIMED_SEQUENCE,
+    PaperSequence,
+    base_name,
+    missing_sequences,
+)
 from orchestrator.evaluation.scoring import SequenceResult
 from orchestrator.evaluation.sequence_scorer import RangeScore, SequenceScore
 
 __all__ = [
-    "METHODS",
-    "MULTI_LABEL",
-    "SEQUENCES",
-    "STAGES",
-    "PaperSequence",
-    "PaperStage",
-    "PublishedMultiLabel",
     "Table",
-    "missing_sequences",
     "moving_objects_table",
     "multi_label_table",
-    "paper_sequences",
     "paper_tables",
     "time_table",
     "two_label_table",
@@ -39,106 +38,11 @@ __all__ = [
 
 OURS = "ours"
 
-#: The methods of the paper's table 1; the first is the paper's own.
-METHODS = ("MLBS", "GBSSP", "FOF", "OMCBS", "GBS", "BSFMC")
-
-
-@dataclass(frozen=True, slots=True)
-class PaperSequence:
-    """A sequence of the paper and its published figures.
-
-    Attributes
-    ----------
-    name : str
-        Also the name of its folder.
-    moving_objects : str
-        How many objects move in it at a time.
-    two_label_f : tuple of float
-        Percent, by :data:`METHODS`.
-    """
-
-    name: str
-    moving_objects: str
-    two_label_f: tuple[float, ...]
-
-
-SEQUENCES: tuple[PaperSequence, ...] = (
-    PaperSequence("cars1", "1", (92.04, 87.14, 50.84, 91.77, 80.30, 73.13)),
-    PaperSequence("cars2", "2–3", (90.16, 82.17, 56.60, 69.13, 68.45, 55.68)),
-    PaperSequence("cars3", "2", (93.16, 72.94, 73.57, 41.27, 79.22, 60.91)),
-    PaperSequence("cars4", "1", (91.55, 88.24, 47.96, 73.65, 66.63, 54.81)),
-    PaperSequence("cars5", "3", (86.62, 81.66, 70.94, 60.44, 74.56, 51.97)),
-    PaperSequence("cars6", "1", (92.23, 81.44, 84.34, 90.31, 73.34, 37.56)),
-    PaperSequence("cars7", "1", (91.17, 90.86, 42.92, 89.87, 69.10, 40.35)),
-    PaperSequence("cars8", "1–2", (85.93, 86.85, 87.61, 83.84, 80.29, 62.42)),
-    PaperSequence("people1", "1", (81.38, 81.21, 69.59, 64.04, 80.19, 34.25)),
-    PaperSequence("people2", "1–2", (94.34, 84.74, 88.40, 89.32, 81.40, 64.92)),
-)
-
-
-@dataclass(frozen=True, slots=True)
-class PublishedMultiLabel:
-    """A published line of the multi-label figures, means over all ten sequences.
-
-    Attributes
-    ----------
-    method : str
-    frames : str
-        Which frames of each sequence, a key of ``_RANGES``.
-    precision, recall, f : float
-        Percent; NaN where it is not known.
-    """
-
-    method: str
-    frames: str
-    precision: float
-    recall: float
-    f: float
-
-
-MULTI_LABEL: tuple[PublishedMultiLabel, ...] = (
-    PublishedMultiLabel("MLBS", "first ten frames", math.nan, math.nan, 85.06),
-    PublishedMultiLabel("MLBS", "all frames", 88.60, 85.05, 86.16),
-    PublishedMultiLabel("SLT (offline)", "all frames", 89.51, 78.24, 82.00),
-)
-
 _RANGES: dict[str, Callable[[SequenceScore], RangeScore]] = {
     "first ten frames": lambda score: score.first_ten,
     "all frames": lambda score: score.all_frames,
 }
 
-
-@dataclass(frozen=True, slots=True)
-class PaperStage:
-    """A stage of the paper's program and the corresponding ones of this program.
-
-    Attributes
-    ----------
-    name : str
-    published_ms : float
-        Time a frame of cars1, ms.
-    stages : tuple of str
-        Keys of :attr:`~mlbs_actors.messages.Segmentation.stage_ms`.
-    remark : str
-        Other work of these stages.
-    """
-
-    name: str
-    published_ms: float
-    stages: tuple[str, ...]
-    remark: str = ""
-
-
-STAGES: tuple[PaperStage, ...] = (
-    PaperStage("clustering", 1109, ("tracking", "affinity", "clustering"), "with the camera's motion"),
-    PaperStage("motion estimation", 3675, ("gabp",)),
-    PaperStage("model propagation", 144, ("posterior",), "warp, colour density and posterior in one"),
-    PaperStage("graph cut", 1369, ("fusion", "cut", "cleaning"), "with shadows, specks and holes"),
-    PaperStage("model update", 559, ("update",)),
-)
-
-#: The sequence on which the paper's times were taken.
-_TIMED_SEQUENCE = "cars1"
 #: A stage that the paper's total leaves out.
 _FLOW = "flow"
 
@@ -162,40 +66,6 @@ class Table:
 
     def __str__(self) -> str:
         return "\n".join([self.title, "", format_table(self.headings, self.rows), *self.notes])
-
-
-def paper_sequences(names: Sequence[str]) -> list[str]:
-    """Select the paper's sequences among some, in the paper's order.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of sequences; the last part of a path counts.
-
-    Raises
-    ------
-    ConfigError
-        If there is none, or two have the same name.
-    """
-    found = {one.name: [name for name in names if _base_name(name) == one.name] for one in SEQUENCES}
-    if not any(found.values()):
-        known = ", ".join(one.name for one in SEQUENCES)
-        raise ConfigError(
-            f"None of the paper's sequences is there: {known}. Each is a folder of that name with frames/ "
-            "and gt/."
-        )
-    for same in found.values():
-        if len(same) > 1:
-            raise ConfigError(
-                f"{' and '.join(same)} bear the same name; choose the paper's with --sequences."
-            )
-    return [name for same in found.values() for name in same]
-
-
-def missing_sequences(names: Sequence[str]) -> list[str]:
-    """Name the paper's sequences that are not among some, in the paper's order."""
-    there = {_base_name(name) for name in names}
-    return [one.name for one in SEQUENCES if one.name not in there]
 
 
 def paper_tables(results: Sequence[SequenceResult]) -> str:
@@ -317,7 +187,7 @@ def time_table(results: Sequence[SequenceResult]) -> Table:
     )
     return Table(
         "Table 4. Time of a frame, ms",
-        ("stage", f"MLBS, {_TIMED_SEQUENCE}", f"{OURS}, {_TIMED_SEQUENCE}", f"{OURS}, mean"),
+        ("stage", f"MLBS, {TIMED_SEQUENCE}", f"{OURS}, {TIMED_SEQUENCE}", f"{OURS}, mean"),
         tuple(rows),
         (
             "Stages of ours, by their names in a run's table of frames:",
@@ -330,17 +200,13 @@ def time_table(results: Sequence[SequenceResult]) -> Table:
 
 def _time_cells(times: Mapping[str, float]) -> tuple[str, str]:
     """Return the time of the sequence that the paper timed, and the mean, of times by name."""
-    published_for = (time for name, time in times.items() if _base_name(name) == _TIMED_SEQUENCE)
+    published_for = (time for name, time in times.items() if base_name(name) == TIMED_SEQUENCE)
     return format_number(mean_of_sequences(published_for)), format_number(mean_of_sequences(times.values()))
-
-
-def _base_name(name: str) -> str:
-    return name.rstrip("/").rpartition("/")[2]
 
 
 def _scores(results: Sequence[SequenceResult]) -> dict[str, SequenceScore]:
     """Return scores by the paper's names, without failed sequences."""
-    return {_base_name(result.name): result.score for result in results if result.score is not None}
+    return {base_name(result.name): result.score for result in results if result.score is not None}
 
 
 def _two_label_f(scores: Mapping[str, SequenceScore], sequence: PaperSequence) -> float:

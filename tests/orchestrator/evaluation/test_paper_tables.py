@@ -20,17 +20,19 @@ from orchestrator.evaluation.command import main
 from orchestrator.evaluation.datasets import open_sequence
 from orchestrator.evaluation.labelling import EngineLabelling
 from orchestrator.evaluation.paper_tables import (
-    METHODS,
-    SEQUENCES,
-    STAGES,
     Table,
-    missing_sequences,
     moving_objects_table,
     multi_label_table,
-    paper_sequences,
     paper_tables,
     time_table,
     two_label_table,
+)
+from orchestrator.evaluation.published_figures import (
+    METHODS,
+    SEQUENCES,
+    STAGES,
+    missing_sequences,
+    paper_sequences,
 )
 from orchestrator.evaluation.scoring import SequenceResult, score_sequence
 from orchestrator.evaluation.sequence_scorer import SequenceScorer
