@@ -35,6 +35,9 @@ MISTAKES = {
     "mlbs_actors.MultilayerSubtractor(colour='grey')": "incompatible type \"Literal['grey']\"",
     "result.labels.astype(float).dtype.nothing": 'has no attribute "nothing"',
     "mlbs_actors.compile_kernels(3)": 'incompatible type "int"',
+    "orchestrator.start('a.mp4', maxside=3)": 'Unexpected keyword argument "maxside"',
+    "orchestrator.start('a.mp4', max_side='3')": "No overload variant",
+    "next(orchestrator.start('a.mp4', references=True)).labels": 'has no attribute "labels"',
 }
 
 
@@ -61,12 +64,12 @@ def test_a_program_passes_strict_type_checks_and_its_mistakes_are_found(tmp_path
     assert checked.returncode == 0, checked.stdout + checked.stderr
     wrong = tmp_path / "wrong.py"
     wrong.write_text(
-        "import mlbs_actors\nimport numpy as np\n"
+        "import mlbs_actors\nimport numpy as np\nimport orchestrator\n"
         "def program(subtractor: mlbs_actors.MultilayerSubtractor, result: mlbs_actors.Result) -> None:\n"
         "    frame = np.zeros((48, 64, 3), np.uint8)\n" + "".join(f"    {line}\n" for line in MISTAKES)
     )
     lines = strictly_typed(wrong, tmp_path).stdout.splitlines()
-    for line, (code, words) in enumerate(MISTAKES.items(), 5):
+    for line, (code, words) in enumerate(MISTAKES.items(), 6):
         assert any(f"wrong.py:{line}:" in one and words in one for one in lines), (code, lines)
 
 
