@@ -5,10 +5,11 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from mlbs_actors.actors.node.memory import node_memory
 from mlbs_actors.actors.stream.protocol import StreamSpec
@@ -114,12 +115,7 @@ def run(
         begun = None
         if arguments.resume and folder.holds_run:
             hold.enter_context(folder.locked())
-            try:
-                begun = with_new_names(
-                    folder, folder.description(), listed.streams, log.say, deliveries.rename
-                )
-            except (OSError, sqlite3.Error) as error:
-                raise ConfigError(f"Cannot write to {folder.path}: {error}.") from None
+            begun = _taken_up(folder, listed, deliveries, log)
         recorded = {} if begun is None else folder.recorded_sources(begun)
         outset = outset_of(folder, listed.streams, recorded, missing, watch=arguments.watch)
         ended, faults = dict(outset.ended), dict(outset.faults)
@@ -190,8 +186,12 @@ def run(
         if arguments.clips is not None:
             session.enter_context(Clips(arguments.clips, folder.path, job.video, log.warn))
         if at_work:
-            lengths = {name: one.length for name, one in survey.finish().items() if one.length is not None}
-            states, exit_status = _drive(job, ended, room, lengths, status, onlookers, folder, arguments, log)
+            known = KnownStreams(
+                {name: one.length for name, one in survey.finish().items() if one.length is not None},
+                {name: one.cores or one.earlier_cores for name, one in folder.states().items()},
+                ended,
+            )
+            states, exit_status = _drive(job, known, room, status, onlookers, folder, arguments, log)
         else:
             states = tuple(ended[spec.name] for spec in job.specs)
             exit_status = exit_code(states, None)
@@ -202,16 +202,35 @@ def run(
         states = tuple(with_record(state, recorded_frames(folder.stream(state.name))) for state in states)
         try:
             status.finish(states, exit_status)
-            names = {spec.name for spec in due}
-            overlays = arguments.save >= {"overlay", "parquet"}
-            goes_on = not overlays or make_all_whole(job, names, states, folder, log.warn)
-            replace_file(folder.path / "report.html", render_report(folder.path).encode())
-            if goes_on:
-                make_of_all(arguments.make, job, names, states, folder, log.say)
+            _make_what_is_due(job, {spec.name for spec in due}, states, folder, arguments, log)
         except OSError as error:
             raise SinkError(f"Cannot finish {folder.path}: {error.strerror}; free some space.") from None
     log.say(closing_words(folder, states, arguments))
     return exit_status
+
+
+def _taken_up(folder: RunFolder, listed: StreamsFile, deliveries: Deliveries, log: Log) -> dict[str, Any]:
+    """Give the streams of the run in a folder the names of now; return its description."""
+    try:
+        return with_new_names(folder, folder.description(), listed.streams, log.say, deliveries.rename)
+    except (OSError, sqlite3.Error) as error:
+        raise ConfigError(f"Cannot write to {folder.path}: {error}.") from None
+
+
+def _make_what_is_due(
+    job: Job,
+    due: Collection[str],
+    states: Sequence[StreamState],
+    folder: RunFolder,
+    arguments: Arguments,
+    log: Log,
+) -> None:
+    """Make of the records of a run that has ended whole overlays, the report, and what ``--make`` names."""
+    overlays = arguments.save >= {"overlay", "parquet"}
+    goes_on = not overlays or make_all_whole(job, due, states, folder, log.warn)
+    replace_file(folder.path / "report.html", render_report(folder.path).encode())
+    if goes_on:
+        make_of_all(arguments.make, job, due, states, folder, log.say)
 
 
 def _page_of(arguments: Arguments) -> str | None:
@@ -269,9 +288,8 @@ def _announce(
 
 def _drive(
     job: Job,
-    ended: Mapping[str, StreamState],
+    known: KnownStreams,
     room: Room,
-    lengths: Mapping[str, int],
     status: StatusFile,
     onlookers: Sequence[Observer],
     folder: RunFolder,
@@ -291,16 +309,15 @@ def _drive(
         status.stopping = lambda: interruption.signal_number is not None
         progress = progress_for(output, log)
         try:
-            most = _most_at_once(job, ended, room, arguments)
+            most = _most_at_once(job, known.ended, room, arguments)
             host = host_of(folder.path, most, room.need, log.warn, shared=arguments.address is not None)
-            loads = {name: one.cores or one.earlier_cores for name, one in folder.states().items()}
             driver = Driver(
                 job.specs,
                 host,
                 admission=admission_to(host, room, _allowed(arguments, room)),
                 observers=[status, *onlookers, progress],
                 interruption=interruption,
-                known=KnownStreams(lengths, loads, ended),
+                known=known,
                 changes=job.changes if arguments.watch else None,
             )
             try:
