@@ -226,8 +226,8 @@ class Arguments:
     clips: Annotated[
         "ClipSettings | None",
         Option(
-            "make a clip of each event that is entered, crossed or a rule, from so many seconds before it to "
-            "so many after it (default: 5,5)",
+            "make a clip of each event of kind entered, crossed or rule, from BEFORE seconds before it to "
+            "AFTER seconds after it (default: 5,5)",
             "BEFORE,AFTER",
             form=Form.OPTIONAL_VALUE,
             read=values.clips,
@@ -273,8 +273,8 @@ class Arguments:
     reserve: Annotated[
         "Reserve | None",
         Option(
-            "what each stream takes of a node, of which so many run at once as fit, and what is reserved "
-            "with --address; one of them will do (default: half a CPU, and memory by the size of the "
+            "what each stream takes of a node; as many run at once as fit, and with --address it is "
+            "reserved; one of the two is enough (default: half a CPU, and memory by the size of the "
             "pictures, 1.2 GB where that is not known)",
             "cpu=N,memory=SIZE",
             read=values.reserve,

@@ -79,7 +79,7 @@ IGNORE = Option(
 )
 
 SEGMENT = Option(
-    "write the record of each camera in segments of an hour, a day, or so many seconds: a "
+    "write the record of each camera in segments of an hour, a day, or a number of seconds: a "
     "folder DIR/NAME/TIME for each, with one archive of all masks (default: none; with --keep"
     " hour)",
     "TIME",
