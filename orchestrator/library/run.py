@@ -65,6 +65,8 @@ class Run(Generic[Yielded]):
         Its first streams.
     arguments : Arguments
     config : Config
+    session : ExitStack
+        What is left when the run is closed, or cannot begin; it is emptied.
     shared : bool
         Whether others use the Ray session, too.
     references : bool
@@ -81,6 +83,7 @@ class Run(Generic[Yielded]):
         listed: Sequence[ListedStream],
         arguments: Arguments,
         config: Config,
+        session: ExitStack,
         *,
         shared: bool,
         references: bool,
@@ -91,7 +94,6 @@ class Run(Generic[Yielded]):
         self._job = Job(
             StreamsFile(tuple(listed), {}), arguments, config, self._folder, None, _log.warning, deliveries
         )
-        self._folder.create(self._job.description)
         self._references = references
         self._buffer: deque[tuple[str, Yielded]] = deque()
         self._taken: Counter[str] = Counter()  # results of each stream
@@ -104,10 +106,15 @@ class Run(Generic[Yielded]):
         self._interruption = Interruption(_log.info)
         room = Room(node_memory(), USUAL_NEED)
         with ExitStack() as held:
+            held.push(session.pop_all())  # left last: what comes below needs Ray to end
+            self._folder.create(self._job.description)
+            withdrawal = held.enter_context(ExitStack())
+            withdrawal.callback(self._folder.withdraw)
             held.enter_context(self._folder.locked())
             self._queue: Handle = spawn(ResultQueue, node=here())
             held.callback(end, [self._queue])
             self._host = host_of(self._folder.path, room.places, room.need, _log.info, shared=shared)
+            withdrawal.pop_all()
             self._held = held.pop_all()  # until it is closed
         self._status = StatusFile(self._folder.path / STATUS)
         self._driver = Driver(
@@ -168,10 +175,6 @@ class Run(Generic[Yielded]):
         """Stop, and release everything; results that were not taken are dropped. May be called twice."""
         self.stop()
         self._held.close()
-
-    def keep(self, session: ExitStack) -> None:
-        """Close this, too, when the run is closed."""
-        self._held.push(session.pop_all())
 
     def update(self, states: Sequence[StreamState]) -> None:
         """Receive the states of all streams from the driver."""

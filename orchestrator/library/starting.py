@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, overload
 
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError
+from orchestrator.credentials import mask
 from orchestrator.events.zones import ZonesFile
 from orchestrator.ignored import Ignored
 from orchestrator.library.result import StreamResult
 from orchestrator.library.session import present_ray
-from orchestrator.option_values import SAVABLE
+from orchestrator.option_values import LEAST_SIDE, SAVABLE
 from orchestrator.options import Arguments
 from orchestrator.run.argument_streams import argument_address, argument_streams
 from orchestrator.run.listed_stream import ListedStream, check_name
@@ -106,6 +107,14 @@ def start(
     """
     if unknown := sorted(set(save) - set(SAVABLE)):
         raise ConfigError(f"save holds {unknown[0]!r}; it may hold {', '.join(SAVABLE)}.")
+    if output is not None and "://" in str(output):
+        raise ConfigError(
+            f"output is {mask(str(output))}; give a folder of this machine. Only the command publishes to an "
+            "object store."
+        )
+    for name, number, least in (("max_frames", max_frames, 1), ("max_side", max_side, LEAST_SIDE)):
+        if number is not None and number < least:
+            raise ConfigError(f"{name} is {number}; it must be at least {least}.")
     listed = _listed(streams)
     with ExitStack() as session:
         if output is None:
@@ -124,8 +133,9 @@ def start(
         # Imported here, because it imports Ray, whose settings have to be made before.
         from orchestrator.library.run import Run
 
-        run: Run[Any] = Run(listed, arguments, config or Config(), shared=shared, references=references)
-        run.keep(session)
+        run: Run[Any] = Run(
+            listed, arguments, config or Config(), session, shared=shared, references=references
+        )
         return run
 
 

@@ -169,11 +169,14 @@ class Driver:
         self._coming |= {spec.name: self._new(spec) for spec in change.added}
         self._renamed |= change.renamed
         for spec in change.reopened:
-            self._current(spec).reopen(spec)
+            if one := self._current(spec):
+                one.reopen(spec)
         for spec in change.restarted:
-            self._current(spec).become(spec)
+            if one := self._current(spec):
+                one.become(spec)
         for spec, settings in change.configured:
-            self._current(spec, again=False).configure(spec, settings)
+            if one := self._current(spec, again=False):
+                one.configure(spec, settings)
         self._show()
 
     def _new(self, spec: StreamSpec) -> DrivenStream:
@@ -184,9 +187,9 @@ class Driver:
         if self._coming.pop(name, None) is not None:
             self._renamed.pop(name, None)
             return
-        if name in self._earlier:
+        one = self._streams.get(name)
+        if one is None:  # it ended in an earlier run, or has been removed already
             return
-        one = self._streams[name]
         if one.state.state != "waiting":
             one.is_leaving = one.is_at_work or one.returns
         elif one.returns:
@@ -195,12 +198,15 @@ class Driver:
         else:
             del self._streams[name]
 
-    def _current(self, spec: StreamSpec, *, again: bool = True) -> DrivenStream:
-        """Return the stream of a name; instead of one that has ended, one that begins ``again``."""
+    def _current(self, spec: StreamSpec, *, again: bool = True) -> DrivenStream | None:
+        """Return the stream of a name; instead of one that has ended, one that begins ``again``.
+
+        None for one that ended in an earlier run.
+        """
         if spec.name in self._coming:
             return self._coming[spec.name]
-        one = self._streams[spec.name]
-        if again and one.state.state in ENDED:
+        one = self._streams.get(spec.name)
+        if one is not None and again and one.state.state in ENDED:
             if one.state.live:  # which was given up
                 one.state = replace(one.state, interrupted=True)
             one = self._coming[spec.name] = self._new(spec)

@@ -177,6 +177,10 @@ class RunFolder:
         except OSError as error:
             raise ConfigError(f"Cannot write to {self.path}: {error.strerror}.") from None
 
+    def withdraw(self) -> None:
+        """Release the folder again, of a run that could not begin."""
+        (self.path / "run.json").unlink(missing_ok=True)
+
     def redescribe(self, description: dict[str, Any]) -> None:
         """Replace ``run.json`` by the new description; OSError if it cannot be written."""
         replace_file(self.path / "run.json", (json.dumps(description, indent=2) + "\n").encode())

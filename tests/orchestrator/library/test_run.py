@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -178,3 +180,37 @@ def test_wrong_words_are_refused_before_anything_is_started() -> None:
         orchestrator.start({"a": SCENE}, save=["mask"])
     with pytest.raises(ConfigError, match=r"'a/b' cannot be the name"):
         orchestrator.start({"a/b": SCENE})
+    with pytest.raises(ConfigError, match="object store"):
+        orchestrator.start({"a": SCENE}, output="s3://bucket/prefix")
+    with pytest.raises(ConfigError, match="max_frames is 0"):
+        orchestrator.start({"a": SCENE}, max_frames=0)
+    with pytest.raises(ConfigError, match="max_side is 10"):
+        orchestrator.start({"a": SCENE}, max_side=10)
+
+
+def test_a_run_that_could_not_begin_leaves_its_folder_to_the_next_try(
+    host: ThreadHost, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_node(*_: object, **__: object) -> Node:
+        raise ConfigError("No node can be used.")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(library_run, "host_of", no_node)
+        with pytest.raises(ConfigError, match="No node can be used"):
+            orchestrator.start({"a": SCENE}, output=tmp_path / "out")
+    with orchestrator.start({"a": SCENE}, output=tmp_path / "out", max_frames=2) as run:
+        assert len(list(run)) == 2
+
+
+@pytest.mark.long
+@pytest.mark.ray
+def test_a_session_of_its_own_ends_with_the_run(tmp_path: Path) -> None:
+    program = (
+        "import orchestrator, sys\n"
+        f"with orchestrator.start({{'a': {SCENE!r}}}, max_frames=9) as run:\n"
+        "    print(sum(1 for _ in run))\n"
+        "import ray; print(ray.is_initialized())\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.split() == ["9", "False"]

@@ -308,3 +308,32 @@ def test_a_stream_of_an_earlier_run_that_the_list_names_again_goes_on_unless_it_
     driver.run()
     assert host.started == (["camera"] if interrupted else [])
     assert [state.name for state in driver.states] == ["camera"]
+
+
+def test_a_stream_removed_twice_and_settings_of_one_that_ended_earlier_change_nothing() -> None:
+    interruption = Interruption()
+    ended = StreamState("film", "done", read=4, committed=4)
+    left = [
+        SpecChange(removed=("waits",)),
+        SpecChange(removed=("waits",)),
+        SpecChange(added=(spec("film"),)),
+        SpecChange(reopened=(spec("film"),), restarted=(spec("film"),), configured=((spec("film"), {}),)),
+    ]
+
+    def changes() -> SpecChange | None:
+        if not left:
+            interruption.signal_number = signal.SIGTERM
+        return left.pop(0) if left else None
+
+    host = FakeHost({"waits": FakeStream(8), "film": FakeStream(4)})
+    driver = driver_of(
+        ["waits"],
+        host,
+        at_once=0,
+        interruption=interruption,
+        changes=changes,
+        prior=Prior(ended={"film": ended}),
+    )
+    driver.run()
+    assert driver.states == (ended,)
+    assert host.started == []
