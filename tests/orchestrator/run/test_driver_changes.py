@@ -332,7 +332,7 @@ def test_a_stream_removed_twice_and_settings_of_one_that_ended_earlier_change_no
         at_once=0,
         interruption=interruption,
         changes=changes,
-        prior=Prior(ended={"film": ended}),
+        known=KnownStreams(ended={"film": ended}),
     )
     driver.run()
     assert driver.states == (ended,)
