@@ -128,11 +128,15 @@ class Footage:
         """What its sound is copied from."""
         return None if self.private else parse_address(self.source, Path("/"))
 
-    def recorded(self) -> Iterator[RecordedFrame]:
-        """Yield the frames of the span with the chosen objects, without reading the source."""
+    def whole(self) -> Iterator[RecordedFrame]:
+        """Yield the frames of the span with all objects, without reading the source."""
         for frame in recorded_stream(self.stream, self.edits):
             if self.span.holds(frame.index, frame.pts):
-                yield self.chosen.of_frame(frame)
+                yield frame
+
+    def recorded(self) -> Iterator[RecordedFrame]:
+        """Yield the frames of the span with the chosen objects, without reading the source."""
+        return map(self.chosen.of_frame, self.whole())
 
     def shots(self, doing: str | None) -> Iterator[Shot]:
         """Read the span again.

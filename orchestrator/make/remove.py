@@ -11,7 +11,9 @@ import numpy as np
 
 from mlbs_actors.errors import ConfigError, FrameError
 from mlbs_actors.messages import Array
+from orchestrator.make.completed_masks import COMPLETED_WIDTH, KnownObjects, completed_masks
 from orchestrator.make.footage import Footage, Shot
+from orchestrator.make.masks_around import masks_around
 from orchestrator.make.plate import MARGIN, BackgroundFrame, CoveredFrame, fill_background
 from orchestrator.make.video_file import VideoFile
 
@@ -40,10 +42,12 @@ def write_removed(footage: Footage, path: Path, matte: Path) -> list[str]:
         If the footage has frames of several sizes.
     """
     removed = made_up = 0
+    removal = _Removal(footage)
     try:
+        removal.complete(path.name)
         with VideoFile(path, footage.sound) as video, VideoFile(matte) as marks:
-            for shot, plate in _plates(footage, path.name):
-                area = _area(shot)
+            for shot, plate in _plates(footage, removal, path.name):
+                area = removal.area(shot)
                 picture, never_seen = _removed(shot, plate, area), plate.never_seen & area
                 video.add(picture, shot.frame.pts, shot.frame.pixel_aspect)
                 white = np.where(never_seen[..., None], np.uint8(255), np.zeros_like(picture))
@@ -58,29 +62,74 @@ def write_removed(footage: Footage, path: Path, matte: Path) -> list[str]:
     return [*video.remarks, f"{path.name}: {share:.1f} % of what was removed is made up, see {matte.name}."]
 
 
-def _plates(footage: Footage, doing: str) -> Iterator[tuple[Shot, BackgroundFrame]]:
+class _Removal:
+    """What is removed of each frame: what was found of the chosen objects, and what else belongs to them."""
+
+    def __init__(self, footage: Footage) -> None:
+        self._footage = footage
+        self._completed: dict[int, bytes] = {}  # PNG pictures: where all objects are, and where chosen ones
+        self._chosen: dict[int, bytes] = {}
+
+    def complete(self, doing: str) -> None:
+        """Complete the masks of all frames."""
+
+        def frames() -> Iterator[KnownObjects]:
+            around = masks_around(self._footage.whole(), COMPLETED_WIDTH)
+            for shot in self._footage.shots(None):
+                chosen, others = shot.masks()
+                yield KnownObjects(shot.picture, chosen | others, _of(shot, around))
+
+        shots = self._footage.shots(f"{doing}, first look")
+        around = masks_around(self._footage.recorded(), COMPLETED_WIDTH)
+        for shot, mask in zip(shots, completed_masks(frames), strict=True):
+            self._completed[shot.frame.index] = _written(mask)
+            self._chosen[shot.frame.index] = _written(_of(shot, around))
+
+    def covered(self, shot: Shot) -> Array:
+        """Return where objects cover the background, (H, W) bool, those that stay included."""
+        chosen, others = shot.masks()
+        return chosen | others | _read(self._completed[shot.frame.index], chosen.shape)
+
+    def area(self, shot: Shot) -> Array:
+        """Return what is replaced: the chosen objects and the plate's margin, without others, (H, W) bool."""
+        chosen, others = shot.masks()
+        _, parts = cv2.connectedComponents((self.covered(shot) & ~others).view(np.uint8))
+        chosen = chosen | _read(self._chosen[shot.frame.index], chosen.shape)
+        whole = np.isin(parts, np.setdiff1d(parts[chosen], 0))
+        margin = round(MARGIN * chosen.shape[1]) + 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
+        return np.asarray(cv2.dilate(whole.view(np.uint8), disc)).view(np.bool_) & ~others
+
+
+def _of(shot: Shot, masks: Iterator[tuple[int, Array]]) -> Array:
+    """Return a frame's mask; masks of frames before it that could not be read again are passed over."""
+    return next(mask for index, mask in masks if index == shot.frame.index)
+
+
+def _written(mask: Array) -> bytes:
+    return cv2.imencode(".png", mask * np.uint8(255))[1].tobytes()
+
+
+def _read(written: bytes, shape: tuple[int, ...]) -> Array:
+    """Read a mask at another size."""
+    small = cv2.imdecode(np.frombuffer(written, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert small is not None  # it was written here
+    return np.asarray(cv2.resize(small, shape[::-1], interpolation=cv2.INTER_LINEAR) >= 128)
+
+
+def _plates(footage: Footage, removal: _Removal, doing: str) -> Iterator[tuple[Shot, BackgroundFrame]]:
     """Yield each frame of the footage, and the same without any object."""
     looked = False
 
     def frames() -> Iterator[CoveredFrame]:
         nonlocal looked
-        words, looked = None if looked else f"{doing}, first look", True
+        words, looked = None if looked else f"{doing}, second look", True
         for shot in footage.shots(words):
-            chosen, others = shot.masks()
-            # Others stay where they are, but nothing is taken from them.
-            yield shot.picture, chosen | others
+            yield shot.picture, removal.covered(shot)
 
     plates = fill_background(frames)
-    first = next(plates)  # after the first look, as only one progress can be shown at once
+    first = next(plates)  # after the second look, as only one progress can be shown at once
     yield from zip(footage.shots(doing), chain([first], plates), strict=True)
-
-
-def _area(shot: Shot) -> Array:
-    """Return what is replaced: the chosen objects and the plate's margin, without others, (H, W) bool."""
-    chosen, others = shot.masks()
-    margin = round(MARGIN * chosen.shape[1]) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
-    return np.asarray(cv2.dilate(chosen.view(np.uint8), disc)).view(np.bool_) & ~others
 
 
 def _removed(shot: Shot, plate: BackgroundFrame, area: Array) -> Array:
