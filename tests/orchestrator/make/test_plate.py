@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -47,6 +48,66 @@ def test_the_known_ground_of_a_moving_camera_is_restored(name: str) -> None:
     ]
     assert np.concatenate(errors).size > 500
     assert np.concatenate(errors).mean() < 6.0
+
+
+def texture(height: int, width: int, seed: int) -> Array:
+    """Return a smooth pattern, so that it may be moved by parts of a pixel, (h, w, 3) float32."""
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(0, 1, (height, width, 3)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    return np.asarray(np.clip(120 + 200 * smooth, 0, 255))
+
+
+def walk_past(number: int) -> Iterator[tuple[Array, Array]]:
+    """Yield frames of a camera that moves to the side, and what it would show without the object.
+
+    A wall is far away, boards are nearer, and a post is nearest; the object passes between it and the camera.
+    """
+    height, width = 120, 240
+    layers = [(1.0, 0, 0, 400, 120), (2.0, 30, 60, 60, 60), (2.5, 210, 50, 70, 70), (3.0, 120, 80, 260, 40)]
+    layers += [(1.5, 250, 10, 60, 60), (4.0, 150, 0, 10, 120)]
+    for index in range(number):
+        frame = np.zeros((height, width, 3), np.float32)
+        for seed, (speed, left, top, across, down) in enumerate(layers):
+            drawn = np.zeros((height, 500, 4), np.float32)
+            drawn[top : top + down, left : left + across, :3] = texture(down, across, seed) / (1 + seed % 2)
+            drawn[top : top + down, left : left + across, 3] = 1
+            move = np.array([[1, 0, -speed * index], [0, 1, 0]], np.float32)
+            moved = cv2.warpAffine(drawn, move, (width, height), flags=cv2.INTER_LINEAR)
+            frame = frame * (1 - moved[..., 3:]) + moved[..., :3]
+        ground = np.clip(frame, 0, 255).astype(np.uint8)
+        covered = np.zeros((height, width), np.bool_)
+        covered[25:95, 5 * index : 5 * index + 34] = True
+        yield ground, covered
+
+
+def test_a_near_post_behind_an_object_stays_straight_and_whole() -> None:
+    clip = list(walk_past(24))
+    frames = [(np.where(covered[..., None], np.uint8(255), ground), covered) for ground, covered in clip]
+    plates = filled(frames)
+    looked_at = 0
+    for index, (ground, covered) in enumerate(clip):
+        left = 150 - 4 * index
+        post = np.zeros_like(covered)
+        post[:, left - 2 : left + 12] = True
+        inside = covered & post & ~plates[index].never_seen
+        if inside.sum() > 900:
+            looked_at += 1
+            assert np.abs(plates[index].picture.astype(int) - ground)[inside].mean() < 8.0
+            assert inside.sum() > 0.98 * (covered & post).sum()
+    assert looked_at >= 2
+
+
+def test_a_fixed_camera_gives_back_the_very_ground() -> None:
+    ground = next(still(1))
+    frames: list[CoveredFrame] = []
+    for index in range(8):
+        covered = np.zeros((64, 64), np.bool_)
+        covered[20:36, 7 * index : 7 * index + 10] = True
+        frames.append((np.where(covered[..., None], np.uint8(0), ground), covered))
+    for one in filled(frames):
+        assert np.abs(one.picture.astype(int) - ground).max() <= 1
+        assert not one.never_seen.any()
 
 
 def test_nothing_changes_away_from_what_is_covered() -> None:
