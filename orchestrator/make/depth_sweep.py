@@ -35,8 +35,11 @@ OWN = 4
 PATCH = 3
 #: What is taken for the difference where no two sources show a plane, grey levels.
 UNKNOWN = 12.0
-#: What a plane costs at most that is far from all points known, grey levels.
-FAR = 8.0
+#: What a plane costs at most that is far from all points known, grey levels, and the share of the votes of the
+#: plane with most of them at which it costs nothing.
+FAR, ENOUGH = 8.0, 0.5
+#: What the farthest plane costs more than the nearest: what agrees equally well is hidden by what is nearer.
+HIDDEN = 1.0
 #: How far the say of a point reaches, cells.
 REACH = (1.0, 2.5, 6.0)
 #: What it costs to lie on the plane next to a neighbour's, and on any other, grey levels.
@@ -129,6 +132,7 @@ def swept(
             shown.append(_shown(there if light == 1.0 else cv2.convertScaleAbs(there, alpha=light), covered))
         cost[..., number] = _difference(shown)
     cost += _unlikely(hole, planes, at, inverse, size)
+    cost += np.linspace(HIDDEN, 0, len(planes.offsets), dtype=np.float32)
     best = _lowest(_smoothed(cost))
     offset = planes.offsets[0] + best * (planes.offsets[1] - planes.offsets[0])
     offset = cv2.resize(
@@ -209,7 +213,7 @@ def _unlikely(hole: Hole, planes: _Planes, at: Array, inverse: Array, size: tupl
     beside = np.pad(wide, ((0, 0), (0, 0), (2, 2)))
     for k, share in enumerate((0.25, 0.7, 0.0, 0.7, 0.25)):
         wide += share * beside[..., k : k + number]
-    cost = FAR * (1 - np.sqrt(wide / (wide.max(axis=2, keepdims=True) + 1e-6)))
+    cost = FAR * (1 - np.sqrt(np.minimum(wide / (ENOUGH * wide.max(axis=2, keepdims=True) + 1e-6), 1)))
     return np.dstack([cv2.resize(np.ascontiguousarray(cost[..., layer]), size) for layer in range(number)])
 
 

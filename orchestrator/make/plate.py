@@ -50,6 +50,8 @@ CoveredFrame = tuple[Array, Array]
 MARGIN = 1 / 160
 #: Of the picture's width: how much around a hole is compared with the sources.
 CONTEXT = 1 / 10
+#: A camera that has moved by less stands still, px of a sketch.
+STILL_PX = 0.25
 #: How far around a pixel that was never seen colours are taken from, px.
 INPAINT_PX = 5
 
@@ -218,7 +220,9 @@ def _moved_samples(
     chosen = chosen_sources(sources, {other: at[wanted] for other, at in places.items()}, nearness, index)
     samples = []
     for source in chosen:
-        there = corrected(hole, source, to_pixels(places[source.index]))
+        at = places[source.index]
+        still = np.abs(at - places[index]).max() < STILL_PX
+        there = hole.pixels() if still else corrected(hole, source, to_pixels(at))
         samples.append(sampled(hole, source, there, nearness[source.index]))
     return samples
 
