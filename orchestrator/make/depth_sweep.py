@@ -35,8 +35,8 @@ OWN = 4
 PATCH = 3
 #: What is taken for the difference where no two sources show a plane, grey levels.
 UNKNOWN = 12.0
-#: What a plane costs at most that is far from all points known, grey levels, and the share of the votes of the
-#: plane with most of them at which it costs nothing.
+#: What a plane costs at most that is far from all points known, grey levels, and at which share of the votes
+#: of the plane with most of them it costs nothing.
 FAR, ENOUGH = 8.0, 0.5
 #: What the farthest plane costs more than the nearest: what agrees equally well is hidden by what is nearer.
 HIDDEN = 1.0
