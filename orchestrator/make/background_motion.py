@@ -21,6 +21,7 @@ __all__ = [
     "Sketch",
     "continued",
     "drift",
+    "in_picture",
     "looked_up",
     "moved",
     "nodes_of",
@@ -128,10 +129,13 @@ class BackgroundMotion:
         self.poses.append(pose)
         self._last = sketch
 
+    def bends(self, first: int, last: int) -> int:
+        """Return how many steps between two frames no homography describes."""
+        return abs(self._bends[last] - self._bends[first])
+
     def nearness(self, index: int, other: int) -> float:
         """Return how well another frame of the same shot can be placed, 0 … 1: by steps that are not flat."""
-        bends = abs(self._bends[other] - self._bends[index])
-        return 1.0 / ((1.0 + bends / BENDS) * (1.0 + abs(other - index) / FRAMES))
+        return 1.0 / ((1.0 + self.bends(index, other) / BENDS) * (1.0 + abs(other - index) / FRAMES))
 
     def places(self, index: int, nodes: Array, others: Sequence[int]) -> dict[int, Array]:
         """Find where the background at places of one frame lies in others.
@@ -155,7 +159,7 @@ class BackgroundMotion:
         for other in others:
             if self.poses[other].shot != self.poses[index].shot:
                 continue
-            if abs(other - index) > FOLLOWED or self._bends[other] == self._bends[index]:
+            if abs(other - index) > FOLLOWED or not self.bends(index, other):
                 result[other] = placed(nodes, self.poses[index].into(self.poses[other]))
             else:
                 followed.append(other)
@@ -178,6 +182,13 @@ def nodes_of(region: Region) -> Array:
     xs = region.x + CELL * np.arange(region.width // CELL, dtype=np.float32) + (CELL - 1) / 2
     ys = region.y + CELL * np.arange(region.height // CELL, dtype=np.float32) + (CELL - 1) / 2
     return np.stack(np.meshgrid(xs, ys), axis=-1)
+
+
+def in_picture(points: Array, size: tuple[int, ...], other: tuple[int, ...]) -> Array:
+    """Return where points (n, 2) of a picture (height, width, …) lie in the same at another size."""
+    scale = np.array([other[1] / size[1], other[0] / size[0]])
+    there: Array = ((points + 0.5) * scale - 0.5).astype(np.float32)
+    return there
 
 
 def to_pixels(nodes: Array) -> Array:

@@ -1,49 +1,31 @@
-"""What another frame shows of a frame's background: laid over it, in its light, with a weight for each pixel.
-
-A source is placed by the background's motion. What it misses by is measured where both show the background,
-and continued smoothly into the hole.
-"""
+"""What another frame shows of a frame's background: laid over it, in its light, weighted."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from mlbs_actors.messages import Array, Region
-from orchestrator.make.background_motion import Sketch, continued, drift, looked_up, moved, to_pixels
-from orchestrator.make.source_frames import Source
+from mlbs_actors.messages import Array
+from orchestrator.make.background_motion import continued, drift, in_picture, looked_up, moved
+from orchestrator.make.holes import Hole
+from orchestrator.make.source_frames import BESIDE, Source
 
-__all__ = ["Hole", "Sample", "at_points", "in_picture", "sampled"]
+__all__ = ["Sample", "agreed", "at_points", "corrected", "sampled"]
 
 #: Grey levels by which a source that is placed well misses the frame.
 NOISE = 6.0
 #: A source that misses the frame by more around a pixel shows nothing of it, grey levels.
 MISFIT = 40.0
-#: Weight of a pixel beside what covers its source, against that of one far from it.
-SUSPECT = 0.02
+#: Weight of a pixel near what covers its source, against that of one far from it, and of one right beside it,
+#: which counts where nothing else is known.
+SUSPECT, BARELY = 0.02, 0.001
+#: Samples that differ by more from their median show something else, grey levels.
+AGREED = 14.0
 #: Least and greatest change of light between two frames that is corrected.
 GAIN = (0.6, 1.7)
-
-
-@dataclass(frozen=True, slots=True)
-class Hole:
-    """The pixels of a frame whose background is wanted.
-
-    Attributes
-    ----------
-    region : Region
-        Of the sketch, in whole cells: the hole and what is around it. It may reach beyond the picture.
-    sketch : Sketch
-        Of the region.
-    at : (n, 2) float32
-        The hole's pixels, (x, y) in the region of the sketch.
-    """
-
-    region: Region
-    sketch: Sketch
-    at: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,25 +44,42 @@ class Sample:
     weight: Array
 
 
-def sampled(hole: Hole, source: Source, places: Array) -> Sample:
+def corrected(hole: Hole, source: Source, there: Array) -> Array:
+    """Correct where a source lies: it is measured where both show the background, and continued smoothly.
+
+    Parameters
+    ----------
+    hole : Hole
+    source : Source
+    there : (h, w, 2) float32
+        Where the pixels of the hole's region lie in the source's sketch.
+
+    Returns
+    -------
+    (h, w, 2) float32
+    """
+    gray = looked_up(source.sketch.gray, there)
+    free = looked_up(source.sketch.free, there, cv2.INTER_NEAREST)
+    return moved(there, drift(hole.sketch.gray, gray, (hole.sketch.free & free) > 0))
+
+
+def sampled(hole: Hole, source: Source, there: Array, nearness: float) -> Sample:
     """Sample a source.
 
     Parameters
     ----------
     hole : Hole
     source : Source
-    places : (rows, columns, 2) float32
-        Where the nodes of the hole's region lie in the source's sketch, px.
+    there : (h, w, 2) float32
+        Where the pixels of the hole's region lie in the source's sketch.
+    nearness : float
+        How much it counts.
 
     Returns
     -------
     Sample
     """
-    frame, there = hole.sketch, to_pixels(places)
-    gray = looked_up(source.sketch.gray, there)
-    free = looked_up(source.sketch.free, there, cv2.INTER_NEAREST)
-    there = moved(there, drift(frame.gray, gray, (frame.free & free) > 0))
-
+    frame = hole.sketch
     both = (frame.free & looked_up(source.sketch.free, there, cv2.INTER_NEAREST)) > 0
     colours = looked_up(source.sketch.colours, there).astype(np.float32)
     gain = _gain(frame.colours[both], colours[both])
@@ -89,18 +88,13 @@ def sampled(hole: Hole, source: Source, places: Array) -> Sample:
 
     at = at_points(np.dstack([there, error]), hole.at)
     pixels = in_picture(at[:, :2], source.sketch.gray.shape, source.picture.shape)
-    clear = at_points(source.clear, pixels, cv2.INTER_NEAREST, cv2.BORDER_CONSTANT).astype(np.float32) / 255
+    clear = at_points(source.clear, pixels, cv2.INTER_NEAREST, cv2.BORDER_CONSTANT).astype(
+        np.float32
+    ) / np.float32(255)
     seen = at_points(source.picture, pixels, cv2.INTER_CUBIC).astype(np.float32) * gain
     trust = np.where(at[:, 2] < MISFIT, 1.0 / (1.0 + (at[:, 2] / NOISE) ** 2) ** 2, 0)
-    weight = np.where(clear > 0, (SUSPECT + clear) * trust, 0)
-    return Sample(seen, weight.astype(np.float32))
-
-
-def in_picture(points: Array, size: tuple[int, ...], other: tuple[int, ...]) -> Array:
-    """Return where points (n, 2) of a picture (height, width, …) lie in the same at another size."""
-    scale = np.array([other[1] / size[1], other[0] / size[0]])
-    there: Array = ((points + 0.5) * scale - 0.5).astype(np.float32)
-    return there
+    weight = np.where(clear > BESIDE, SUSPECT + clear, BARELY) * trust * nearness
+    return Sample(seen, np.where(clear > 0, weight, 0).astype(np.float32))
 
 
 def at_points(
@@ -121,3 +115,32 @@ def _gain(target: Array, seen: Array) -> Array:
         return np.ones(3, np.float32)
     ratio = np.median(target[usable].astype(np.float32) / seen[usable], axis=0)
     return np.clip(ratio, *GAIN).astype(np.float32)
+
+
+def agreed(samples: Sequence[Sample], number: int) -> tuple[Array, Array]:
+    """Combine samples of so many pixels: the mean of those near their median, where there are any.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+    number : int
+
+    Returns
+    -------
+    (n, 3) float32
+    (n,) bool
+    """
+    if not samples:
+        return np.zeros((number, 3), np.float32), np.zeros(number, np.bool_)
+    colours = np.stack([one.colours for one in samples])
+    weights = np.stack([one.weight for one in samples])
+    total = weights.sum(axis=0)
+    order = np.argsort(colours, axis=0, kind="stable")
+    heavy = np.take_along_axis(np.broadcast_to(weights[..., None], colours.shape), order, axis=0)
+    half = (np.cumsum(heavy, axis=0) >= 0.5 * total[:, None]).argmax(axis=0)
+    middle = np.take_along_axis(np.take_along_axis(colours, order, axis=0), half[None], axis=0)[0]
+    share = weights**2 * (np.abs(colours - middle).max(axis=2) < AGREED)
+    whole = share.sum(axis=0)
+    mean = (colours * share[..., None]).sum(axis=0) / np.maximum(whole, 1e-20)[:, None]
+    agreed = np.where((whole > 1e-20)[:, None], mean, middle)
+    return np.clip(agreed, 0, 255).astype(np.float32), total > 0

@@ -1,13 +1,15 @@
 """The background plate as a video: what each pixel of a clip showed when nothing covered it.
 
 Read in this order: here, how a plate is put together; ``camera_path`` and ``background_motion`` (where the
-background of one frame lies in the others), ``source_frames`` (which of them a frame's is taken from),
-``background_samples`` (what they show of it).
+background of one frame lies in the others), ``holes``, ``source_frames`` (which frames a hole's background is
+taken from), ``background_samples`` (what they show of it). Where a camera moves through a scene with depth,
+``rigid_background`` knows better, by ``point_tracks``, ``scene_geometry`` with ``bundle_adjustment``,
+``scenes_of_clip`` and ``depth_sweep``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,17 +17,21 @@ import numpy as np
 
 from mlbs_actors.determinism import single_threaded
 from mlbs_actors.errors import FrameError
-from mlbs_actors.messages import Array, Region
+from mlbs_actors.messages import Array
 from orchestrator.make.background_motion import (
     CELL,
     BackgroundMotion,
-    Sketch,
+    in_picture,
     nodes_of,
     sketch_of,
     to_pixels,
 )
-from orchestrator.make.background_samples import Hole, at_points, in_picture, sampled
+from orchestrator.make.background_samples import Sample, agreed, at_points, corrected, sampled
+from orchestrator.make.holes import Hole, holes_of
+from orchestrator.make.rigid_background import samples_in_scene
+from orchestrator.make.scenes_of_clip import ScenesOfClip
 from orchestrator.make.source_frames import (
+    EDGE,
     NEAR_STEP,
     Source,
     SpreadSources,
@@ -42,12 +48,10 @@ CoveredFrame = tuple[Array, Array]
 
 #: Of the picture's width: what is replaced beyond what is covered, and fades into the frame.
 MARGIN = 1 / 160
-#: Of the picture's width: beside what covers it, a source is not believed.
-EDGE = 1 / 320
 #: Of the picture's width: how much around a hole is compared with the sources.
 CONTEXT = 1 / 10
-#: Samples that differ by more from their median show something else, grey levels.
-AGREED = 14.0
+#: A camera that has moved by less stands still, px of a sketch.
+STILL_PX = 0.25
 #: How far around a pixel that was never seen colours are taken from, px.
 INPAINT_PX = 5
 
@@ -97,10 +101,12 @@ def fill_background(frames: Callable[[], Iterable[CoveredFrame]]) -> Iterator[Ba
         not the same each time it is read.
     """
     motion, spread, near = BackgroundMotion(), SpreadSources(1), 0
+    scenes = ScenesOfClip(motion)
     for index, (frame, covered) in enumerate(_checked(frames())):
         with single_threaded():
             source = _source(index, frame, covered)
             motion.add(frame, source.sketch)
+            scenes.add(source.sketch)
         if index == 0:
             near = held_sources(covered.shape) // 2
             spread = SpreadSources(near)
@@ -115,7 +121,7 @@ def fill_background(frames: Callable[[], Iterable[CoveredFrame]]) -> Iterator[Ba
             raise FrameError(f"The clip had {number} frames, and {index} when it was read again.")
         with single_threaded():
             sources = {one.index: one for one in (*spread.kept, *next(around))}
-            plate = _filled(index, *pair, motion, list(sources.values()), plate)
+            plate = _filled(index, *pair, _Clip(motion, scenes, list(sources.values())), plate)
         yield plate
 
 
@@ -141,8 +147,7 @@ def _sources(frames: Iterable[CoveredFrame]) -> Iterator[Source]:
 
 
 def _source(index: int, frame: Array, covered: Array) -> Source:
-    hidden = _widened(covered, EDGE)
-    return source_of(index, frame, hidden, sketch_of(frame, hidden))
+    return source_of(index, frame, covered, sketch_of(frame, _widened(covered, EDGE)))
 
 
 def _widened(covered: Array, share: float) -> Array:
@@ -152,77 +157,74 @@ def _widened(covered: Array, share: float) -> Array:
     return hidden
 
 
+@dataclass(frozen=True, slots=True)
+class _Clip:
+    """What is known of a clip around one of its frames."""
+
+    motion: BackgroundMotion
+    scenes: ScenesOfClip
+    sources: Sequence[Source]
+
+
 def _filled(
-    index: int,
-    frame: Array,
-    covered: Array,
-    motion: BackgroundMotion,
-    sources: Sequence[Source],
-    before: BackgroundFrame | None,
+    index: int, frame: Array, covered: Array, clip: _Clip, before: BackgroundFrame | None
 ) -> BackgroundFrame:
     """Fill a frame; ``before`` is the one before it, filled."""
     never: Array = np.zeros(covered.shape, np.bool_)
     if not covered.any():
         return BackgroundFrame(frame.copy(), never)
     hidden = _widened(covered, MARGIN)
-    hole, inside = _hole(frame, hidden), hidden > 0
-    places = motion.places(index, nodes_of(hole.region), [index, *(one.index for one in sources)])
-    colours, seen = _seen(index, hole, motion, sources, places)
-    never[inside] = ~seen
-    picture = frame.copy()
-    made = seen.copy()
-    if before is not None and not seen.all():
-        colours[~seen], made[~seen] = _carried(index, hole, motion, before, ~seen)
-    picture[inside] = np.round(colours)
-    gap = np.zeros(covered.shape, np.uint8)
-    gap[inside] = ~made
+    picture, gap = frame.copy(), np.zeros(covered.shape, np.uint8)
+    for hole in holes_of(frame, hidden, CONTEXT):
+        colours, seen = agreed(_samples(index, hole, clip), len(hole.inside))
+        never.flat[hole.inside] = ~seen
+        made = seen.copy()
+        if before is not None and not seen.all():
+            colours[~seen], made[~seen] = _carried(index, hole, clip.motion, before, ~seen)
+        picture.reshape(-1, 3)[hole.inside] = np.round(colours)
+        gap.flat[hole.inside] = ~made
     if gap.all():
         picture[:] = np.round(frame.mean(axis=(0, 1)))
     elif gap.any():
         picture = cv2.inpaint(picture, gap, INPAINT_PX, cv2.INPAINT_TELEA)
+    inside = hidden > 0
     away = cv2.distanceTransform(1 - covered.astype(np.uint8), cv2.DIST_L2, 3)[inside]
     share = np.clip(1.0 - away / (MARGIN * frame.shape[1] + 1), 0.0, 1.0)[:, None]
     picture[inside] = np.round(picture[inside] * share + frame[inside] * (1 - share))
     return BackgroundFrame(picture, never)
 
 
-def _hole(frame: Array, hidden: Array) -> Hole:
-    """Cut a hole and what is around it out of a frame."""
-    sketch = sketch_of(frame, hidden)
-    height, width = sketch.gray.shape
-    x, y, across, down = cv2.boundingRect(1 - sketch.free)
-    context = round(CONTEXT * width)
-    left, top = (max(0, start - context) // CELL * CELL for start in (x, y))
-    right, bottom = min(width, x + across + context), min(height, y + down + context)
-    region = Region(left, top, -(-(right - left) // CELL) * CELL, -(-(bottom - top) // CELL) * CELL)
-    beyond = (0, max(0, region.y + region.height - height), 0, max(0, region.x + region.width - width))
-    colours, gray = (
-        np.ascontiguousarray(cv2.copyMakeBorder(one, *beyond, cv2.BORDER_REPLICATE)[region.slices])
-        for one in (sketch.colours, sketch.gray)
-    )
-    free = cv2.copyMakeBorder(sketch.free, *beyond, cv2.BORDER_CONSTANT, value=0)[region.slices]
-    rows, columns = np.nonzero(hidden)
-    at = in_picture(np.stack([columns, rows], axis=1), hidden.shape, sketch.gray.shape)
-    at -= np.array([region.x, region.y], np.float32)
-    return Hole(region, Sketch(colours, gray, np.ascontiguousarray(free)), at)
+def _samples(index: int, hole: Hole, clip: _Clip) -> list[Sample]:
+    """Sample the sources that show a hole, by depth; by the background's motion where that is unknown."""
+    scene = clip.scenes.scene(index)
+    samples = [] if scene is None else samples_in_scene(index, hole, scene, clip.sources)
+    if scene is None or not samples:
+        return _moved_samples(index, hole, clip.motion, clip.sources)
+    left = [one for one in clip.sources if one.index not in scene.numbers]
+    unseen = np.all([one.weight == 0 for one in samples], axis=0)
+    if unseen.any():
+        others = _moved_samples(index, hole, clip.motion, left)
+        samples += [Sample(one.colours, np.where(unseen, one.weight, 0)) for one in others]
+    return samples
 
 
-def _seen(
-    index: int, hole: Hole, motion: BackgroundMotion, sources: Sequence[Source], places: Mapping[int, Array]
-) -> tuple[Array, Array]:
-    """Return the colours (n, 3) float32 that other frames show of a hole, and where they do, (n,) bool."""
+def _moved_samples(
+    index: int, hole: Hole, motion: BackgroundMotion, sources: Sequence[Source]
+) -> list[Sample]:
+    """Sample the sources that show a hole, placed by the background's motion."""
+    places = motion.places(index, nodes_of(hole.region), [index, *(one.index for one in sources)])
     size = (hole.region.width // CELL, hole.region.height // CELL)
     wanted = cv2.resize(hole.sketch.free, size, interpolation=cv2.INTER_AREA)
     wanted = cv2.erode(wanted, np.ones((3, 3), np.uint8)) == 0
     nearness = {other: motion.nearness(index, other) for other in places}
     chosen = chosen_sources(sources, {other: at[wanted] for other, at in places.items()}, nearness, index)
-    if not chosen:
-        return np.zeros((len(hole.at), 3), np.float32), np.zeros(len(hole.at), np.bool_)
-    samples = [sampled(hole, source, places[source.index]) for source in chosen]
-    weights = [
-        np.float32(nearness[source.index]) * one.weight for source, one in zip(chosen, samples, strict=True)
-    ]
-    return _agreed(np.stack([one.colours for one in samples]), np.stack(weights))
+    samples = []
+    for source in chosen:
+        at = places[source.index]
+        still = np.abs(at - places[index]).max() < STILL_PX
+        there = hole.pixels() if still else corrected(hole, source, to_pixels(at))
+        samples.append(sampled(hole, source, there, nearness[source.index]))
+    return samples
 
 
 def _carried(
@@ -237,28 +239,3 @@ def _carried(
     height, width = before.never_seen.shape
     within: Array = np.all((at >= 0) & (at <= (width - 1, height - 1)), axis=1)
     return at_points(before.picture, at).astype(np.float32), within
-
-
-def _agreed(colours: Array, weights: Array) -> tuple[Array, Array]:
-    """Combine samples: the mean of those near their median, where there are any.
-
-    Parameters
-    ----------
-    colours : (k, n, 3) float32
-    weights : (k, n) float32
-
-    Returns
-    -------
-    (n, 3) float32
-    (n,) bool
-    """
-    total = weights.sum(axis=0)
-    order = np.argsort(colours, axis=0, kind="stable")
-    heavy = np.take_along_axis(np.broadcast_to(weights[..., None], colours.shape), order, axis=0)
-    half = (np.cumsum(heavy, axis=0) >= 0.5 * total[:, None]).argmax(axis=0)
-    middle = np.take_along_axis(np.take_along_axis(colours, order, axis=0), half[None], axis=0)[0]
-    share = weights**2 * (np.abs(colours - middle).max(axis=2) < AGREED)
-    whole = share.sum(axis=0)
-    mean = (colours * share[..., None]).sum(axis=0) / np.maximum(whole, 1e-20)[:, None]
-    agreed = np.where((whole > 1e-20)[:, None], mean, middle)
-    return np.clip(agreed, 0, 255).astype(np.float32), total > 0

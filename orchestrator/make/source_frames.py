@@ -17,6 +17,8 @@ from mlbs_actors.messages import Array
 from orchestrator.make.background_motion import Sketch
 
 __all__ = [
+    "BESIDE",
+    "EDGE",
     "NEAR_STEP",
     "Source",
     "SpreadSources",
@@ -32,6 +34,10 @@ HELD_BYTES = 384 * 2**20
 HELD = (12, 200)
 #: Every how many frames one near the frame at hand is held.
 NEAR_STEP = 2
+#: Of the picture's width: nearer to what covers it, a pixel counts only where nothing else is known.
+EDGE = 1 / 320
+#: What :attr:`Source.clear` is there, as a share of its greatest value.
+BESIDE = np.float32(1 / 255)
 #: Of the picture's width: how far from what covers it a pixel is above suspicion.
 CLEAR = 1 / 16
 #: Sources that serve a frame, at most.
@@ -51,7 +57,7 @@ class Source:
     picture : (H, W, 3) uint8
         BGR.
     clear : (H, W) uint8
-        0 where covered, up to 255 as far from that as :data:`CLEAR` says.
+        0 where covered, 1 beside that, up to 255 as far from that as :data:`CLEAR` says.
     sketch : Sketch
     """
 
@@ -61,12 +67,15 @@ class Source:
     sketch: Sketch
 
 
-def source_of(index: int, frame: Array, hidden: Array, sketch: Sketch) -> Source:
-    """Prepare a frame as a source; ``hidden`` (H, W) uint8 is 1 where it does not show the background."""
-    distance = np.minimum(cv2.distanceTransform(1 - hidden, cv2.DIST_L2, 3), frame.shape[1])
-    clear = np.clip(distance * np.float32(255 / (CLEAR * frame.shape[1])), 0, 255).astype(np.uint8)
-    clear[(clear == 0) & (hidden == 0)] = 1
-    return Source(index, frame, clear, sketch)
+def source_of(index: int, frame: Array, covered: Array, sketch: Sketch) -> Source:
+    """Prepare a frame as a source; ``covered`` (H, W) bool is where it does not show the background."""
+    width = frame.shape[1]
+    distance = np.minimum(cv2.distanceTransform(1 - covered.astype(np.uint8), cv2.DIST_L2, 3), width)
+    beyond = distance - max(1.0, EDGE * width)
+    clear = np.clip(beyond * np.float32(255 / (CLEAR * width)), 2, 255)
+    clear[beyond <= 0] = 1
+    clear[covered] = 0
+    return Source(index, frame, clear.astype(np.uint8), sketch)
 
 
 def held_sources(shape: tuple[int, int]) -> int:
@@ -157,7 +166,8 @@ def _worth(source: Source, there: Array, here: Array, nearness: float) -> Array:
     scale: Array = np.array([width / sketch[1], height / sketch[0]])
     at = np.round((there + 0.5) * scale - 0.5).astype(int)
     inside = (at >= 0).all(axis=1) & (at < (width, height)).all(axis=1)
-    clear = np.zeros(len(there))
-    clear[inside] = source.clear[at[inside, 1], at[inside, 0]] / 255
-    worth: Array = np.where(clear > 0, 0.3 + 0.7 * clear, 0.0) * np.exp(-moved / 0.3) * np.sqrt(nearness)
+    clear = np.zeros(len(there), np.float32)
+    clear[inside] = source.clear[at[inside, 1], at[inside, 0]] / np.float32(255)
+    shown = np.where(clear > BESIDE, 0.3 + 0.7 * clear, np.where(clear > 0, 0.05, 0.0))
+    worth: Array = shown * np.exp(-moved / 0.3) * np.sqrt(nearness)
     return worth

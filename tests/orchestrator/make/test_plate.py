@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -47,6 +48,63 @@ def test_the_known_ground_of_a_moving_camera_is_restored(name: str) -> None:
     ]
     assert np.concatenate(errors).size > 500
     assert np.concatenate(errors).mean() < 6.0
+
+
+def texture(height: int, width: int, seed: int) -> Array:
+    """Return a smooth pattern around 0, so that it may be moved by parts of a pixel, (h, w, 3) float32."""
+    noise = np.random.default_rng(seed).normal(0, 1, (height, width, 1)).astype(np.float32)
+    return np.asarray(150 * cv2.GaussianBlur(noise, (0, 0), 2.5)[..., None])
+
+
+def walk_past(number: int) -> Iterator[tuple[Array, Array]]:
+    """Yield frames of a camera that moves to the side, and where an object covers them.
+
+    A wall is far away, boards are nearer, and a post is nearest; the object passes between it and the camera.
+    """
+    height, width = 160, 320
+    # By how much each moves a frame, px; left, top, width, height, px; brightness.
+    layers = [(2.0, 0, 0, 520, 160, 110), (3.0, 30, 70, 70, 60, 80), (4.0, 280, 60, 90, 80, 140)]
+    layers += [(2.5, 340, 10, 70, 60, 70), (5.0, 0, 130, 520, 30, 90), (6.0, 190, 0, 18, 135, 190)]
+    for index in range(number):
+        frame = np.zeros((height, width, 3), np.float32)
+        for seed, (speed, left, top, across, down, light) in enumerate(layers):
+            drawn = np.zeros((height, 520, 4), np.float32)
+            drawn[top : top + down, left : left + across, :3] = light + texture(down, across, seed)
+            drawn[top : top + down, left : left + across, 3] = 1
+            move = np.array([[1, 0, -speed * index], [0, 1, 0]], np.float32)
+            moved = cv2.warpAffine(drawn, move, (width, height))
+            frame = frame * (1 - moved[..., 3:]) + moved[..., :3]
+        covered = np.zeros((height, width), np.bool_)
+        covered[40:115, 8 * index : 8 * index + 44] = True
+        yield np.clip(frame, 0, 255).astype(np.uint8), covered
+
+
+def test_a_near_post_behind_an_object_stays_straight_and_whole() -> None:
+    clip = list(walk_past(18))
+    frames = [(np.where(covered[..., None], np.uint8(255), ground), covered) for ground, covered in clip]
+    looked_at = 0
+    for index, plate in enumerate(filled(frames)):
+        ground, covered = clip[index]
+        post = np.zeros_like(covered)
+        post[:, 190 - 6 * index : 208 - 6 * index] = True
+        inside = covered & post
+        if inside.sum() > 0.9 * 18 * 75:
+            looked_at += 1
+            assert np.abs(plate.picture.astype(int) - ground)[inside].mean() < 15.0
+            assert plate.never_seen[inside].mean() < 0.02
+    assert looked_at >= 2
+
+
+def test_a_fixed_camera_gives_back_the_very_ground() -> None:
+    ground = next(still(1))
+    frames: list[CoveredFrame] = []
+    for index in range(8):
+        covered = np.zeros((64, 64), np.bool_)
+        covered[20:36, 7 * index : 7 * index + 10] = True
+        frames.append((np.where(covered[..., None], np.uint8(0), ground), covered))
+    for one in filled(frames):
+        assert np.abs(one.picture.astype(int) - ground).max() <= 1
+        assert not one.never_seen.any()
 
 
 def test_nothing_changes_away_from_what_is_covered() -> None:
