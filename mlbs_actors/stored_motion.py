@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from mlbs_actors.array_files import load_array, load_arrays
-from mlbs_actors.errors import SourceError
+from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.messages import Array
 
 __all__ = ["FollowedFrame", "StoredMotion", "read_flow"]
@@ -61,7 +61,10 @@ class StoredMotion:
     name : str
         Of the video, in the folders.
     flow, tracks : Path, optional
-        Folders; see above.
+        Folders; see above. One of them at least.
+    here : bool
+        Whether the folders are looked at now; else with the first frame, by then in the process that reads
+        them.
 
     Attributes
     ----------
@@ -69,6 +72,13 @@ class StoredMotion:
         For ``MultilayerSubtractor(flow=…, tracks=…)``; None without a folder.
     followed : tuple of FollowedFrame
         The newest frames, oldest first: all that it remembers.
+
+    Raises
+    ------
+    ConfigError
+        Without a folder.
+    SourceError
+        If a folder has nothing of this video, or its tracks cannot be read.
 
     Examples
     --------
@@ -80,10 +90,29 @@ class StoredMotion:
     ...     results = subtractor.apply(frame)
     """
 
-    def __init__(self, name: str, flow: Path | None = None, tracks: Path | None = None) -> None:
-        self._name, self._flow, self._tracks = name, flow, tracks
+    def __init__(
+        self,
+        name: str,
+        flow: str | Path | None = None,
+        tracks: str | Path | None = None,
+        *,
+        here: bool = True,
+    ) -> None:
+        if flow is None and tracks is None:
+            raise ConfigError("StoredMotion needs a folder to read from: give flow=, tracks= or both.")
+        self._name = name
+        self._flow = None if flow is None else Path(flow)
+        self._tracks = None if tracks is None else Path(tracks)
         self._stored: tuple[Array, Array] | None = None
         self._followed = deque[FollowedFrame](maxlen=_REMEMBERED)
+        if here:
+            self._check()
+
+    def __repr__(self) -> str:
+        folders = (("flow", self._flow), ("tracks", self._tracks))
+        given = "".join(f", {name} in {folder}" for name, folder in folders if folder is not None)
+        last = f"the last {self._followed[-1].stem}" if self._followed else "no frame followed yet"
+        return f"StoredMotion({self._name}{given}, {last})"
 
     @property
     def flow(self) -> Callable[[Array, Array], Array] | None:
@@ -91,9 +120,10 @@ class StoredMotion:
 
         It maps two frames, (H, W, 3) uint8, to the displacement of each pixel from the first to the second,
         (H, W, 2) float32, x before y, px. That is 0 where the file says that it is unknown, and everywhere if
-        the frames are not neighbours or are none of :attr:`followed`.
+        the frames are not neighbours or one of them is none of :attr:`followed`.
 
-        It raises SourceError if a file is missing, cannot be read as flow, or is of another size.
+        It raises SourceError if neither is, or a file is missing, cannot be read as flow, or is of another
+        size.
         """
         return None if self._flow is None else self._stored_flow
 
@@ -102,17 +132,13 @@ class StoredMotion:
         """For ``MultilayerSubtractor(tracks=…)``; None without a folder of tracks.
 
         It maps two frames, (H, W, 3) uint8, and points of the first, (n, 2) float32, (x, y) in px, to their
-        places in the second, (n, 2) float32, and to whether they are seen there, (n,) bool: none is if a
-        frame is not of :attr:`followed`, nor is a point with no stored one within 4 px.
+        places in the second, (n, 2) float32, and to whether they are seen there, (n,) bool: none is if one
+        of the frames is not of :attr:`followed`, nor is a point with no stored one within 4 px.
 
-        It raises SourceError if the file is missing, cannot be read as tracks, or has fewer frames.
+        It raises SourceError if neither is, or the file is missing, cannot be read as tracks, or has fewer
+        frames.
         """
         return None if self._tracks is None else self._stored_tracks
-
-    @property
-    def is_asked(self) -> bool:
-        """Whether there is a folder of either."""
-        return self._flow is not None or self._tracks is not None
 
     @property
     def followed(self) -> tuple[FollowedFrame, ...]:
@@ -141,7 +167,8 @@ class StoredMotion:
         Raises
         ------
         SourceError
-            At the first one, if a folder has nothing of this video, or its tracks cannot be read.
+            At the first one, if a folder has nothing of this video, or its tracks cannot be read: with
+            ``here=False`` that is seen only now.
         """
         if not self._followed:
             self._check()
@@ -152,24 +179,37 @@ class StoredMotion:
             for way in ("forward", "backward"):
                 if not (self._flow / way / self._name).is_dir():
                     raise SourceError(
-                        f"There is no flow in {self._flow / way / self._name}; --flow needs forward/NAME and "
-                        "backward/NAME."
+                        f"There is no flow in {self._flow / way / self._name}; a folder of flow needs "
+                        f"forward/{self._name} and backward/{self._name}."
                     )
         if self._tracks is not None:
             self._read_tracks(self._tracks)
 
+    def _pair(self, first: Array, second: Array) -> tuple[FollowedFrame, FollowedFrame] | None:
+        """Return which frames two pictures are: of equal ones the newest; None if one is forgotten.
+
+        The engine always asks for the motion from or to a picture that it was given just now.
+        """
+        start, end = self._frame(first), self._frame(second)
+        if start is None and end is None:
+            raise SourceError(
+                f"It is not known which stored motion of {self._name} belongs to this frame: call "
+                "follow(index, stem, frame) before each apply(frame), with the same picture, in BGR."
+            )
+        return None if start is None or end is None else (start, end)
+
     def _frame(self, picture: Array) -> FollowedFrame | None:
-        """Return which frame a picture is: of equal ones the newest; None for one forgotten."""
         digest = _digest(picture)
         return next((one for one in reversed(self._followed) if one.digest == digest), None)
 
     def _stored_flow(self, first: Array, second: Array) -> Array:
         """Return the displacement of each pixel from the first frame to the second: (H, W, 2) float32, px."""
         assert self._flow is not None
-        start, end = self._frame(first), self._frame(second)
-        if start is None or end is None or abs(end.index - start.index) != 1:
+        pair = self._pair(first, second)
+        if pair is None or abs(pair[1].index - pair[0].index) != 1:
             # Equal frames, or a pair across a damaged one: no motion is known.
             return np.zeros((*first.shape[:2], 2), np.float32)
+        start, end = pair
         folder = self._flow / ("forward" if end.index > start.index else "backward") / self._name
         places = (folder / f"{start.stem}.flo", folder / f"{start.stem}.npy")
         path = next((one for one in places if one.exists()), None)
@@ -188,10 +228,11 @@ class StoredMotion:
 
         assert self._tracks is not None
         places, visible = self._stored or self._read_tracks(self._tracks)
-        start, end = self._frame(first), self._frame(second)
+        pair = self._pair(first, second)
         lost = points.copy(), np.zeros(len(points), bool)
-        if start is None or end is None:
+        if pair is None:
             return lost
+        start, end = pair
         if max(start.index, end.index) >= len(places):
             raise SourceError(
                 f"{self._tracks / self._name}.npz has tracks of {len(places)} frames; frame {end.index} is "
@@ -207,7 +248,8 @@ class StoredMotion:
     def _read_tracks(self, folder: Path) -> tuple[Array, Array]:
         path = folder / f"{self._name}.npz"
         expected = (
-            "--tracks needs NAME.npz with tracks (frames, points, 2) float and visible (frames, points) bool"
+            "a folder of tracks needs NAME.npz with tracks (frames, points, 2) float and visible (frames, "
+            "points) bool"
         )
         try:
             tracks, visible = load_arrays(path, "tracks", "visible")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mlbs_actors import MultilayerSubtractor
-from mlbs_actors.errors import SourceError
+from mlbs_actors.errors import ConfigError, SourceError
 from mlbs_actors.messages import Array
 from mlbs_actors.scenes.synthetic import SyntheticScene, scene
 from mlbs_actors.stored_motion import StoredMotion, read_flow
@@ -85,6 +85,37 @@ def test_a_repeated_picture_does_not_move_and_is_the_latest_of_them(
     assert np.array_equal(flow_of(stored, first, second), constant(1))
 
 
+def test_motion_of_frames_that_were_not_followed_is_refused_rather_than_none(
+    folder: Path, made: SyntheticScene
+) -> None:
+    frames = [made.frame(index) for index in range(3)]
+    rgb = [frame[..., ::-1] for frame in frames]
+    for stored in (StoredMotion("set/clip", folder), followed(StoredMotion("set/clip", folder), rgb)):
+        with pytest.raises(SourceError, match=r"call follow\(index, stem, frame\) before each apply"):
+            flow_of(stored, frames[0], frames[1])
+    write_tracks(folder, tracks=np.zeros((3, 1, 2), np.float32), visible=np.ones((3, 1), bool))
+    tracks = StoredMotion("set/clip", tracks=folder).tracks
+    assert tracks is not None
+    with pytest.raises(SourceError, match="call follow"):
+        tracks(frames[0], frames[1], np.zeros((1, 2), np.float32))
+
+
+def test_what_holds_no_motion_of_a_video_is_told_when_it_is_named(folder: Path) -> None:
+    with pytest.raises(ConfigError, match="give flow=, tracks= or both"):
+        StoredMotion("set/clip")
+    with pytest.raises(SourceError, match=r"There is no flow in .*forward/other; .* needs forward/other"):
+        StoredMotion("other", flow=folder)
+    with pytest.raises(SourceError, match="There are no tracks in"):
+        StoredMotion("set/clip", tracks=folder)
+    StoredMotion("other", flow=folder, here=False)
+
+
+def test_stored_motion_shows_what_it_reads_and_how_far_it_is(folder: Path, made: SyntheticScene) -> None:
+    stored = StoredMotion("set/clip", str(folder))
+    assert repr(stored) == f"StoredMotion(set/clip, flow in {folder}, no frame followed yet)"
+    assert repr(followed(stored, [made.frame(0)])).endswith(", the last 00000)")
+
+
 def test_missing_flow_is_told_by_its_path(folder: Path, made: SyntheticScene) -> None:
     frames = [made.frame(index) for index in range(2)]
     stored = followed(StoredMotion("set/clip", folder), frames)
@@ -152,7 +183,7 @@ def test_what_are_no_tracks_is_told_with_what_is_expected(
 ) -> None:
     if arrays:
         write_tracks(tmp_path, **arrays)
-    stored = StoredMotion("set/clip", tracks=tmp_path)
+    stored = StoredMotion("set/clip", tracks=tmp_path, here=False)
     with pytest.raises(SourceError, match=complaint + r"(.|\n)*tracks \(frames, points, 2\) float"):
         stored.follow(0, "00000", made.frame(0))
 

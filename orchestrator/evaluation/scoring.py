@@ -217,11 +217,12 @@ def engine_result(
         if change is not None:
             sequence = change(sequence)
         config = load_config(setup.config, list(overrides))
-        motion = StoredMotion(sequence.name, setup.flow, setup.tracks)
-        subtractor: Subtractor = MultilayerSubtractor(config, flow=motion.flow, tracks=motion.tracks)
+        motion = _stored_motion(sequence.name, setup)
+        flow, tracks = (None, None) if motion is None else (motion.flow, motion.tracks)
+        subtractor: Subtractor = MultilayerSubtractor(config, flow=flow, tracks=tracks)
         if longer_side is not None:
             subtractor = ResizingSubtractor(subtractor, longer_side)
-        labelling = EngineLabelling(sequence, subtractor, motion if motion.is_asked else None)
+        labelling = EngineLabelling(sequence, subtractor, motion)
         result = score_sequence(sequence, labelling, setup.sheets)
     except MlbsError as error:
         return SequenceResult(name, error=str(error))
@@ -235,6 +236,12 @@ def engine_result(
         cpu_ms_per_frame=labelling.cpu_milliseconds / frames,
         stage_ms={stage: total / frames for stage, total in labelling.stage_ms.items()},
     )
+
+
+def _stored_motion(name: str, setup: EngineSetup) -> StoredMotion | None:
+    if setup.flow is None and setup.tracks is None:
+        return None
+    return StoredMotion(name, setup.flow, setup.tracks)
 
 
 def _write_sheets(

@@ -337,5 +337,7 @@ class Job:
 
     def _motion(self, name: str) -> StoredMotion | None:
         """Return the stored motion of a stream, if the command names any."""
-        motion = StoredMotion(name, self._arguments.flow, self._arguments.tracks)
-        return motion if motion.is_asked else None
+        flow, tracks = self._arguments.flow, self._arguments.tracks
+        if flow is None and tracks is None:
+            return None
+        return StoredMotion(name, flow, tracks, here=False)  # one without motion must not end the others
