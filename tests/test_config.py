@@ -132,3 +132,8 @@ def test_in_large_frames_lengths_grow_less_than_the_frame() -> None:
     assert length_scale(4 * 480, 4 * 640) == pytest.approx(2.04, abs=0.01)
     assert detail(4 * 480, 4 * 640) == pytest.approx(4 / 2.04, abs=0.01)
     assert length_scale(1080, 1920) == length_scale(1920, 1080)
+
+
+def test_one_override_without_a_list_is_told_how_to_be_written() -> None:
+    with pytest.raises(ConfigError, match=r"overrides is one string, .*; give a list: \['layers"):
+        load_config(None, "layers.lookahead=3")

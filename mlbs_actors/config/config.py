@@ -54,6 +54,8 @@ def load_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -
     ConfigError
         If the file cannot be read, or a key or value is wrong.
     """
+    if isinstance(overrides, str):
+        raise ConfigError(f"overrides is one string, {overrides!r}; give a list: [{overrides!r}].")
     values: dict[str, Any] = {}
     if path is not None:
         try:

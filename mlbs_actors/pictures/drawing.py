@@ -9,8 +9,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import BACKGROUND, Array, Region
 from mlbs_actors.pictures.layer_colours import layer_colour
+from mlbs_actors.wording import described
 
 __all__ = ["Outline", "draw_box", "draw_caption", "draw_labels", "draw_outlines"]
 
@@ -62,7 +64,13 @@ def draw_labels(
     Returns
     -------
     (H, W, 3) uint8
+
+    Raises
+    ------
+    FrameError
+        If they are no image and label map of one size.
     """
+    _check_labels(image, labels)
     drawn = image.copy()
     line = max(1, round(min(image.shape[:2]) * _LINE_PX))
     around = _disc(line)
@@ -89,6 +97,23 @@ def draw_labels(
     for text, place in texts:
         _write(drawn, text, place, digit_height)
     return drawn
+
+
+def _check_labels(image: Array, labels: Array) -> None:
+    for name, given, axes in (("image", image, 3), ("labels", labels, 2)):
+        if not isinstance(given, np.ndarray):
+            advice = "; give result.labels" if hasattr(given, "labels") else ""
+            raise FrameError(f"{name} must be an array, not {described(given)}{advice}.")
+        if given.ndim != axes:
+            raise FrameError(
+                f"{name} is {described(given)}; give draw_labels the picture, (height, width, 3) uint8, and "
+                "then the label map, (height, width)."
+            )
+    if image.shape[:2] != labels.shape:
+        raise FrameError(
+            f"The picture is {image.shape[1]}×{image.shape[0]} px, the label map {labels.shape[1]}×"
+            f"{labels.shape[0]}; give those of one frame, or resize the picture first."
+        )
 
 
 def draw_caption(image: Array, text: str) -> None:

@@ -144,28 +144,39 @@ def edits_of(folder: Path, path: Path | None = None) -> Edits:
     return read_edits(path, lambda: read_rows(folder))
 
 
-def recorded_stream(folder: Path, edits: Edits | None = None) -> Iterator[RecordedFrame]:
+def recorded_stream(folder: str | Path, edits: Edits | None = None) -> Iterator[RecordedFrame]:
     """Yield committed frames that have a label map, in order, one part of the tables at a time.
 
     Parameters
     ----------
-    folder : Path
-        Of the stream; one that is not there has no frames.
+    folder : str or Path
+        Of the stream. A stream of a run that has not begun has none yet, and no frames.
     edits : Edits, optional
         Corrections of its ids; by default those of :func:`edits_of`.
 
     Raises
     ------
     ConfigError
-        If the stream's corrections are wrong.
+        If there is no such stream, or its corrections are wrong.
     MissingPackageError
         Without the extra ``read``.
     """
     with needing("read"):
         from mlbs_actors.record.record_tables import read_rows
 
+    folder = Path(folder)
+    _refuse_no_stream(folder)
     edits = edits_of(folder) if edits is None else edits
     return _frames_of(edits.applied(read_rows(folder)))
+
+
+def _refuse_no_stream(folder: Path) -> None:
+    run = read_description(folder)
+    if run is not None:
+        names = ", ".join(run.get("sources", {})) or "none"
+        raise ConfigError(f"{folder} is a run; name the folder of one of its streams: {names}.")
+    if not folder.is_dir() and folder.name not in (read_description(folder.parent) or {}).get("sources", {}):
+        raise ConfigError(f"There is no stream in {folder}; name the folder of a stream, OUTPUT/NAME.")
 
 
 def _frames_of(rows: Iterable[FrameRow]) -> Iterator[RecordedFrame]:

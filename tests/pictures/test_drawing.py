@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
 
+from mlbs_actors.errors import FrameError
 from mlbs_actors.messages import Array, Region
 from mlbs_actors.pictures.drawing import draw_box, draw_caption, draw_labels, draw_outlines
 from mlbs_actors.pictures.layer_colours import COLOURS, layer_colour
@@ -156,3 +159,13 @@ def test_a_box_has_the_colour_of_its_object_and_the_id_beside_it(top: int) -> No
     without = np.full((240, 320, 3), 90, np.uint8)
     draw_box(without, (100, top, 60, 70), 7, ids=False)
     assert not (without == 255).all(axis=2).any()
+
+
+def test_what_is_no_picture_with_its_label_map_is_told() -> None:
+    image, labels = np.zeros((20, 30, 3), np.uint8), np.zeros((20, 30), np.uint16)
+    with pytest.raises(FrameError, match=r"the picture, .* and then the label map"):
+        draw_labels(labels, image)
+    with pytest.raises(FrameError, match=r"picture is 30×20 px, the label map 30×10; .* of one frame"):
+        draw_labels(image, labels[:10])
+    with pytest.raises(FrameError, match=r"not a SimpleNamespace; give result\.labels"):
+        draw_labels(image, SimpleNamespace(labels=labels))  # type: ignore[arg-type]
