@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mlbs_actors.appearance.own_appearance import Appearance, AppearanceFactory
+from mlbs_actors.appearance.own_appearance import Appearance, AppearanceFactory, made_by
 from mlbs_actors.config import Config
 from mlbs_actors.coordinator import Coordinator, CoordinatorState
 from mlbs_actors.determinism import single_threaded
@@ -28,6 +28,13 @@ from mlbs_actors.result_log import LOGGER, ResultLog
 from mlbs_actors.segmentation.attached_parts import join_parts
 from mlbs_actors.segmentation.segmenter import Segmenter, SegmenterState
 from mlbs_actors.state_file import capture
+from mlbs_actors.subtractor_arguments import (
+    check_appearance,
+    check_config,
+    check_functions,
+    check_ignored,
+    check_video,
+)
 from mlbs_actors.tracking.trajectories import TrackFunction
 from mlbs_actors.video_file import video_frames
 
@@ -95,8 +102,8 @@ class MultilayerSubtractor:
     Raises
     ------
     ConfigError
-        If ``config`` is something else, such as a file's name, ``ignored`` is no mask, or ``colour`` is
-        neither.
+        If ``config`` is something else, such as a file's name, ``ignored`` is no mask, ``colour`` is
+        neither, or one of the others cannot be called as it would be.
 
     Notes
     -----
@@ -132,13 +139,10 @@ class MultilayerSubtractor:
         colour: Literal["bgr", "rgb"] = "bgr",
         appearance: AppearanceFactory | None = None,
     ) -> None:
-        if config is not None and not isinstance(config, Config):
-            raise ConfigError(f"Give a Config, not {config!r}; load_config reads one from a file.")
-        if ignored is not None and (ignored.ndim != 2 or ignored.dtype != bool or not ignored.size):
-            raise ConfigError(
-                f"ignored must be a (height, width) mask of bool, not {ignored.shape} {ignored.dtype}; "
-                "mask != 0 makes one of a picture."
-            )
+        check_config(config)
+        check_functions(inspector, flow, tracks)
+        check_ignored(ignored)
+        check_appearance(appearance)
         if colour not in ("bgr", "rgb"):
             raise ConfigError(f'colour must be "bgr" or "rgb", not {colour!r}.')
         self.config = config or Config()
@@ -251,10 +255,11 @@ class MultilayerSubtractor:
         Raises
         ------
         SourceError
-            If the file cannot be read.
+            If the file cannot be read, or this is neither a file nor frames.
         FrameError, MlbsError
             As :meth:`apply` does.
         """
+        check_video(video)
         if isinstance(video, (str, PathLike)):
             with closing(video_frames(video)) as frames:
                 yield from self.segment(self._recoloured(frame) for frame in frames)
@@ -329,7 +334,7 @@ class MultilayerSubtractor:
 
     def _own(self, kind: LayerKind) -> Appearance | None:
         """Make the caller's model of a new-born layer, if there is one."""
-        return None if self._appearance is None else self._appearance(kind)
+        return None if self._appearance is None else made_by(self._appearance, kind)
 
     def _label(self, made: FrameEvidence, frame: Array) -> Segmentation:
         evidence = readonly(made)

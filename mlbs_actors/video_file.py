@@ -24,6 +24,11 @@ def video_frames(path: str | PathLike[str]) -> Generator[Array, None, None]:
     """
     if "://" in str(path):  # it may hold a password
         raise SourceError("Only files are opened here; give the frames of a camera or stream instead.")
+    if Path(path).is_dir():
+        raise SourceError(
+            f"{path} is a folder; give its pictures as frames: "
+            f"(cv2.imread(str(one)) for one in sorted(Path({str(path)!r}).iterdir()))."
+        )
     if not Path(path).is_file():
         raise SourceError(f"There is no video {path}; check the path.")
     video = cv2.VideoCapture(str(path))

@@ -14,8 +14,9 @@ import numpy as np
 
 from mlbs_actors.errors import LayerError
 from mlbs_actors.messages import Array, LayerKind, Region
+from mlbs_actors.wording import described
 
-__all__ = ["Appearance", "AppearanceFactory", "asked"]
+__all__ = ["Appearance", "AppearanceFactory", "asked", "is_appearance", "made_by"]
 
 
 class Appearance(Protocol):
@@ -62,6 +63,28 @@ class Appearance(Protocol):
 
 #: Makes the model of a layer that is born, such as a class whose only argument is the layer's kind.
 AppearanceFactory = Callable[[LayerKind], Appearance]
+
+
+def is_appearance(model: object) -> bool:
+    """Whether a model, or the class of one, has the methods of :class:`Appearance`."""
+    return all(callable(getattr(model, name, None)) for name in ("update", "log_density"))
+
+
+def made_by(factory: AppearanceFactory, kind: LayerKind) -> Appearance:
+    """Make the model of a layer that is born.
+
+    Raises
+    ------
+    LayerError
+        If something else is made.
+    """
+    made = factory(kind)
+    if not is_appearance(made):
+        raise LayerError(
+            f"appearance({kind!r}) made {described(made)}; it must make an object with the methods "
+            "update and log_density."
+        )
+    return made
 
 
 def asked(
