@@ -6,11 +6,12 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from mlbs_actors.errors import ConfigError
@@ -126,20 +127,55 @@ def line_of(tree: yaml.Node | None, place: Sequence[int | str]) -> int:
 
 
 def faults_of(
-    tree: yaml.Node | None, invalid: ValidationError, place: Sequence[int | str] = ()
+    tree: yaml.Node | None,
+    invalid: ValidationError,
+    place: Sequence[int | str] = (),
+    model: type[BaseModel] | None = None,
 ) -> Mapping[int, str]:
-    """Return what is wrong by the number of the line, of a part at a place of the file."""
+    """Return what is wrong by the number of the line, of a part at a place of the file that a model reads."""
     faults = {}
     for one in invalid.errors():
         where = ".".join(str(step) for step in one["loc"])
-        faults[line_of(tree, [*place, *one["loc"]])] = f"{where + ': ' if where else ''}{words_of(one)}"
+        faults[line_of(tree, [*place, *one["loc"]])] = (
+            f"{where + ': ' if where else ''}{words_of(one, model)}"
+        )
     return faults
 
 
-def words_of(fault: ErrorDetails) -> str:
-    """Return what is wrong with a value, as it may stand behind its name."""
+def words_of(fault: ErrorDetails, model: type[BaseModel] | None = None) -> str:
+    """Return what is wrong with a value, as it may stand behind its name.
+
+    Parameters
+    ----------
+    fault : ErrorDetails
+    model : type, optional
+        What has refused it: names the key that may be meant by one that there is not.
+    """
     words = fault["msg"].removeprefix("Value error, ")
-    return "there is no such key" if words.startswith("Extra inputs") else words
+    if not words.startswith("Extra inputs"):
+        return words
+    known = [] if model is None else _keys_at(model, fault["loc"][:-1])
+    near = get_close_matches(str(fault["loc"][-1]), known, 1)
+    return f"there is no such key{f'; did you mean {near[0]}?' if near else ''}"
+
+
+def _keys_at(model: type[BaseModel], place: Sequence[int | str]) -> list[str]:
+    """Return the keys at a place of what a model reads; none if they depend on what stands there."""
+    for step in place:
+        field = model.model_fields.get(str(step))
+        if field is None:  # a number in a list, or a name in a mapping
+            continue
+        models = _models_in(field.annotation)
+        if len(models) != 1:
+            return []
+        model = models[0]
+    return list(model.model_fields)
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]
 
 
 def _refuse_twice(path: Path, flag: str, node: yaml.Node, seen: set[int]) -> None:

@@ -4,7 +4,3 @@ Read :mod:`.tally` first, which counts rows and their events; :mod:`.table` says
 ``counts.csv``, :mod:`.count_files` writes the files of a stream, and :mod:`.stream_counts` reads them for
 pages and metrics.
 """
-
-from orchestrator.extra import require_run
-
-require_run()

@@ -7,10 +7,12 @@ import io
 from collections.abc import Iterable
 from datetime import datetime, timezone
 
-import pyarrow as pa
-from pyarrow import csv as arrow_csv
-
+from mlbs_actors.extras import needing
 from orchestrator.counts.tally import HOUR_SECONDS, HourCounts, PlaceCounts
+
+with needing("read"):
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
 
 __all__ = ["HEADER", "counts_schema", "csv_rows", "table_of"]
 

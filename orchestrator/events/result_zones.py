@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat
 
 from pydantic import ValidationError
 
@@ -13,10 +13,12 @@ from mlbs_actors.errors import ConfigError, FrameError
 from mlbs_actors.extras import needing
 from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.record.frame_row import FrameRow, ResultRow
+from mlbs_actors.wording import described
 from orchestrator.events.event import Event
 from orchestrator.events.rules import Rule
 from orchestrator.events.scene import SceneTracker
 from orchestrator.events.zones import EventSettings, Minimum, Zone, read_zones
+from orchestrator.yaml_file import words_of
 
 __all__ = ["Zones"]
 
@@ -63,8 +65,11 @@ class Zones:
     ) -> None:
         with needing("read"):
             from orchestrator.events.happenings import Happenings
-        if not frame_rate > 0:
-            raise ConfigError(f"frame_rate is {frame_rate}; it must be above 0, in frames a second.")
+        if not isinstance(frame_rate, SupportsFloat) or not frame_rate > 0:
+            raise ConfigError(f"frame_rate is {frame_rate!r}; it must be above 0, in frames a second.")
+        for name, given in (("zones", zones), ("rules", rules)):
+            if isinstance(given, Mapping | str) or not isinstance(given, Iterable):
+                raise ConfigError(f"{name} is {described(given)}; give a list, of one too: {name}=[...].")
         try:
             settings = EventSettings.model_validate(
                 {"zones": tuple(zones), "minimum": minimum, "rules": tuple(rules)}
@@ -76,6 +81,13 @@ class Zones:
         self._frame_rate = frame_rate
         self._happenings = Happenings(followed)
         self._scene = SceneTracker(None, 0, None, 0.0) if followed.of_scene else None
+        named = (("zones", settings.zones), ("rules", settings.rules))
+        shown = (f"{kind} {', '.join(one.name for one in ones)}" for kind, ones in named if ones)
+        self._shown = ", ".join(shown) or "none"
+
+    def __repr__(self) -> str:
+        frames = self._happenings.state.rows
+        return f"Zones({self._shown}; {self._frame_rate:g} frames/s, frames {frames})"
 
     @classmethod
     def read(cls, path: str | Path, stream: str, *, frame_rate: float = 25.0) -> Zones:
@@ -86,7 +98,7 @@ class Zones:
         ConfigError
             If it cannot be read, holds anything that is not understood, or does not name the stream.
         """
-        file = read_zones(Path(path))
+        file = read_zones(Path(path), "Zones.read")
         if stream not in file.streams:
             named = ", ".join(sorted(file.streams)) or "none"
             raise ConfigError(f"{path} has no zones of a stream {stream!r}; it names {named}.")
@@ -117,8 +129,13 @@ class Zones:
         Raises
         ------
         FrameError
-            If it is not after the last one, or ``image`` is missing.
+            If it is no result, or not after the last one, or ``image`` is missing or of another size.
         """
+        if not isinstance(result, Segmentation):
+            raise FrameError(
+                f"update takes the result of one frame, not {described(result)}: "
+                "for frame, result in subtractor.segment(video): zones.update(result)."
+            )
         index, state = result.frame_index, self._happenings.state
         if index < state.rows:
             raise FrameError(
@@ -131,6 +148,11 @@ class Zones:
             if image is None:
                 raise FrameError(
                     "A zone is fixed to the scene, which is found in pictures: give the image, too."
+                )
+            if image.ndim != 3 or image.shape[:2] != result.labels.shape:
+                raise FrameError(
+                    f"The image is {described(image)}, the label map {result.labels.shape}; give the frame "
+                    "of this result."
                 )
             self._scene.after(pts, result, image)
             place = self._scene.place
@@ -147,8 +169,9 @@ class Zones:
 
 
 def _words_of(invalid: ValidationError) -> str:
-    faults = (
-        f"{'.'.join(map(str, fault['loc']))}: {fault['msg'].removeprefix('Value error, ')}"
-        for fault in invalid.errors()
-    )
-    return f"The zones cannot be used: {'; '.join(faults)}."
+    faults = []
+    for fault in invalid.errors():
+        place = ".".join(map(str, fault["loc"]))
+        faults.append(f"{place + ': ' if place else ''}{words_of(fault, EventSettings)}")
+    text = "; ".join(faults)
+    return f"The zones cannot be used: {text}{'' if text.endswith('?') else '.'}"

@@ -232,21 +232,27 @@ class ZonesFile:
         return own.event_rules(self.content.minimum, remembered)
 
 
-def read_zones(path: Path) -> ZonesFile:
+def read_zones(path: Path, named: str = "--zones") -> ZonesFile:
     """Read and check a file of zones.
+
+    Parameters
+    ----------
+    path : Path
+    named : str
+        What names the file, for messages.
 
     Raises
     ------
     ConfigError
         If it cannot be read, or holds anything that is not understood; names the line.
     """
-    file = read_yaml(path, "--zones")
+    file = read_yaml(path, named)
     if file.tree is None:
-        raise ConfigError(f"--zones: {path} is empty; name at least one stream below 'streams:'.")
+        raise ConfigError(f"{named}: {path} is empty; name at least one stream below 'streams:'.")
     try:
         content = _Content.model_validate(file.content)
     except ValidationError as invalid:
-        faults = faults_of(file.tree, invalid)
+        faults = faults_of(file.tree, invalid, model=_Content)
         lines = "\n".join(f"  line {line}: {words}" for line, words in faults.items())
-        raise ConfigError(f"--zones: {path} cannot be used:\n{lines}") from None
+        raise ConfigError(f"{named}: {path} cannot be used:\n{lines}") from None
     return ZonesFile(path.absolute(), file.text, content)

@@ -9,7 +9,6 @@ import pytest
 
 PARTS = (
     "clips",
-    "counts.table",
     "evaluation.datasets",
     "run.job",
     "sinks.record",
@@ -36,7 +35,11 @@ except ImportError as error:
 
 @pytest.mark.parametrize(
     ("module", "package", "extra"),
-    [("rows.endings", "pycocotools", "read"), ("library.starting", "pyarrow", "run")],
+    [
+        ("counts.table", "pyarrow", "read"),
+        ("rows.endings", "pycocotools", "read"),
+        ("library.starting", "pyarrow", "run"),
+    ],
 )
 def test_a_module_that_programs_import_says_which_extra_has_what_it_needs(
     module: str, package: str, extra: str

@@ -131,13 +131,46 @@ def test_zones_are_made_of_values_too_and_read_from_a_file(tmp_path: Path) -> No
     ("zones", "sentence"),
     [
         ([{"name": "a", "polygon": [[0, 0], [1, 1]]}], "zones.0: the polygon of a zone needs at least 3"),
-        ([MIDDLE, MIDDLE], "two zones are named 'middle'"),
-        ([MIDDLE | {"colour": "red"}], "zones.0.colour"),
+        ([MIDDLE, MIDDLE], "cannot be used: two zones are named 'middle'"),
+        ([MIDDLE | {"colour": "red"}], "zones.0.colour: there is no such key"),
+        ([{"name": "a", "polygn": [[0, 0], [1, 0], [1, 1]]}], r"polygn: .*did you mean polygon\?$"),
+        (MIDDLE, r"zones is a dict; give a list, of one too: zones=\[\.\.\.\]"),
     ],
 )
 def test_what_is_no_zone_is_refused_with_its_name(zones: list[dict[str, Any]], sentence: str) -> None:
     with pytest.raises(ConfigError, match=sentence):
         Zones(zones)
+
+
+def test_a_rate_that_is_no_number_is_refused() -> None:
+    for rate in ("25", 0, None):
+        with pytest.raises(ConfigError, match=f"frame_rate is {rate!r}; it must be above 0"):
+            Zones([MIDDLE], frame_rate=rate)  # type: ignore[arg-type]
+
+
+def test_a_file_that_cannot_be_read_is_told_without_an_option_of_the_command(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^Zones\.read: .*no\.yaml cannot be read"):
+        Zones.read(tmp_path / "no.yaml", "gate")
+
+
+@pytest.mark.parametrize("given", [np.zeros((4, 6, 3), np.uint8), (None, segmentation(0)), [segmentation(0)]])
+def test_what_is_no_result_is_told_with_what_to_give(given: Any) -> None:
+    with pytest.raises(FrameError, match="update takes the result of one frame, not"):
+        Zones([MIDDLE]).update(given)
+
+
+def test_a_picture_of_another_size_than_the_result_is_refused() -> None:
+    zones = Zones([MIDDLE | {"fixed_to": "scene"}])
+    with pytest.raises(
+        FrameError, match=r"The image is \(9, 9, 3\) uint8, the label map .*frame of this result"
+    ):
+        zones.update(segmentation(0), image=np.zeros((9, 9, 3), np.uint8))
+
+
+def test_zones_show_their_names_and_how_far_they_are() -> None:
+    zones = Zones(**SETTINGS, frame_rate=RATE)
+    zones.update(segmentation(0))
+    assert repr(zones) == "Zones(zones middle, fence, rules stays, both, through; 10 frames/s, frames 1)"
 
 
 def test_results_come_in_order_and_with_a_picture_where_the_scene_is_looked_for() -> None:

@@ -54,7 +54,10 @@ def test_shares_and_pixels_and_least_sizes_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (("name: yard", "nam: yard"), r"line 7: streams\.gate\.zones\.0\.nam: there is no such key"),
+        (
+            ("name: yard", "nam: yard"),
+            r"line 7: streams\.gate\.zones\.0\.nam: there is no such key; did you mean name\?",
+        ),
         (("kind: line", "kind: wall"), r"line 9: streams\.gate\.zones\.1\.kind: .*'zone' or 'line'"),
         (("[300, 20]", "[10, 20]"), r"line 9: .* needs at least 2 different points"),
         (("[0, 1]]", "[0, 1.0, 2]]"), r"line 8: streams\.gate\.zones\.0\.polygon\.3"),
