@@ -32,6 +32,7 @@ from orchestrator.evaluation.mask_scoring import score_masks
 from orchestrator.evaluation.options import COMPARED_COLUMNS, LATEX_COLUMNS, SCRIPT, evaluation_parser
 from orchestrator.evaluation.paper_tables import paper_tables
 from orchestrator.evaluation.plots import write_plots
+from orchestrator.evaluation.precision_recall import precision_recall
 from orchestrator.evaluation.published_figures import paper_sequences
 from orchestrator.evaluation.questions import Question, question_of
 from orchestrator.evaluation.reliability import reliability_table
@@ -222,6 +223,13 @@ def _write_files(
     if options.plots:
         for path in write_plots(options.plots, rows):
             print(f"see {path}")
+        for row in rows:
+            if precision_recall(row.results) is None:
+                name = f"{row.variant.name}: " if row.variant.name else ""
+                print(
+                    f"{name}no precision over recall is drawn: it needs objects in the truth, and the scores "
+                    "of the masks, which the tables of a run have (parquet in --save)."
+                )
 
 
 def _what_ran(options: argparse.Namespace) -> dict[str, Any]:

@@ -54,9 +54,13 @@ matter most:
   track_j          one label for each object over all frames: mean intersection over union
   multi_f          the same, and a layer the truth does not know counts as a lost one too (the paper's text)
   multi_f_matlab   as the paper's table was made: the background takes part, surplus layers do not count
-  first ten, after start, davis: of these frames only (davis: without the first and the last)
-  recall, decay    of DAVIS: share of the frames above 50, and what is lost from the first quarter to the last
-  davis17          one label for each object over all frames, as in DAVIS 2017's unsupervised task
+  precision, recall                moving against not moving, over the pixels of each frame
+  f first ten, f after start       two_label_f of these frames only; object_f first ten, ... likewise
+  j davis, f davis, j&f davis      without the first frame and the last, as DAVIS 2016 counts
+  j recall davis, f recall davis   share of these frames in which it is above 50
+  j decay davis, f decay davis     what is lost of it from the first quarter of these frames to the last
+  j davis17, j recall davis17, ... one label for each object over all frames, as in DAVIS 2017's unsupervised
+                                   task
 """
 
 
@@ -187,9 +191,10 @@ def evaluation_parser(program: str = SCRIPT) -> argparse.ArgumentParser:
     add("--latex", type=Path, metavar="FILE", help="write a table of the sequences there")
     add(
         "--columns",
-        type=lambda text: text.split(","),
+        type=lambda text: [name.strip().lower() for name in text.split(",")],
         metavar="NAME,...",
-        help="of the LaTeX table, of --masks and of --sweep, by their headings here (default "
+        help="of the LaTeX table, of --masks and of --sweep, by their headings, as in 'J,J recall davis' "
+        "(default "
         f"{','.join(LATEX_COLUMNS)}; of --masks and --sweep {','.join(COMPARED_COLUMNS)})",
     )
     add(

@@ -12,6 +12,8 @@ from PIL import Image
 
 from mlbs_actors.messages import Array
 from orchestrator.evaluation.command import main
+from orchestrator.evaluation.figures import COLUMNS
+from orchestrator.evaluation.options import evaluation_parser
 
 HEIGHT, WIDTH = 40, 60
 
@@ -83,7 +85,7 @@ def test_csv_leaves_figures_without_a_meaning_empty(folder: Path) -> None:
 
 
 def test_latex_is_a_table_of_booktabs(folder: Path) -> None:
-    assert evaluate(folder, "--latex", f"{folder}/table.tex", "--columns", "j davis,j,object_f") == 0
+    assert evaluate(folder, "--latex", f"{folder}/table.tex", "--columns", "J davis, j,object_f") == 0
     assert (folder / "table.tex").read_text().splitlines() == [
         r"% \usepackage{booktabs}",
         r"\begin{tabular}{lrrr}",
@@ -103,6 +105,15 @@ def test_a_column_that_is_not_known_is_refused(folder: Path, capsys: pytest.Capt
     with pytest.raises(SystemExit):
         evaluate(folder, "--latex", f"{folder}/table.tex", "--columns", "jj")
     assert "no column jj" in capsys.readouterr().err
+
+
+def test_the_help_names_the_columns_as_they_are_asked_for() -> None:
+    said = " ".join(evaluation_parser().format_help().split())
+    for name in ("recall", "decay"):
+        assert f" {name}," not in said
+    for name in ("j recall davis", "f decay davis", "j recall davis17", "object_f first ten", "precision"):
+        assert name in said
+        assert name in COLUMNS
 
 
 def test_pictures_of_another_size_do_not_prevent_the_score(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,11 +12,12 @@ from evaluation_fakes import BrightSubtractor, write_bright_sequence
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.evaluation import scoring
+from orchestrator.evaluation import plots, scoring
 from orchestrator.evaluation.command import main
 from orchestrator.evaluation.precision_recall import precision_recall
 from orchestrator.evaluation.scoring import ScoredMask, SequenceResult
 from orchestrator.evaluation.sequence_scorer import SequenceScorer
+from orchestrator.evaluation.variants import Variant, VariantResults
 
 MASKS = st.lists(st.tuples(st.sampled_from([0.1, 0.4, 0.8]), st.sampled_from([0.0, 0.5, 0.9])), min_size=1)
 
@@ -64,13 +66,31 @@ def test_plots_are_written_for_looking_and_for_papers(
         "set-clip-over-time.pdf",
         "set-clip-over-time.png",
     ]
-    assert f"see {tmp_path}/plots/set-clip-over-time.png" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"see {tmp_path}/plots/set-clip-over-time.png" in said
+    assert "no precision over recall is drawn: it needs objects in the truth, and the scores" in said
+    assert b"/Type3" not in (tmp_path / "plots/set-clip-over-time.pdf").read_bytes()
     picture = cv2.imread(f"{tmp_path}/plots/set-clip-over-time.png")
     assert picture is not None
     assert picture.std() > 5
     assert main([*arguments, f"{tmp_path}/again"]) == 0
     for path in (tmp_path / "plots").iterdir():
         assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
+
+
+def test_lines_differ_by_more_than_their_colours_and_begin_at_the_number_of_the_first_picture() -> None:
+    scorer = SequenceScorer()
+    for index in range(3):
+        scorer.add(index, np.zeros((2, 2), np.int32), np.ones((2, 2), np.uint8))
+    result = SequenceResult("a", scorer.score(), stems=("00005", "00006", "00007"))
+    rows = [VariantResults(Variant(name), (result,)) for name in ("one", "two")]
+    panel = plots._over_time("a", 0, rows).axes[0]
+    one, two = panel.lines
+    assert one.get_linestyle() != two.get_linestyle()
+    assert list(one.get_xdata()) == [5, 6, 7]
+    assert panel.get_xlim()[0] == 5
+    unnumbered = [replace(row, results=(replace(result, stems=("a", "b", "c")),)) for row in rows]
+    assert list(plots._over_time("a", 0, unnumbered).axes[0].lines[0].get_xdata()) == [0, 1, 2]
 
 
 def test_plots_without_matplotlib_are_refused_before_anything_is_scored(
