@@ -7,7 +7,14 @@ from typing import Any
 
 from mlbs_actors.messages import Segmentation
 
-__all__ = ["Result"]
+__all__ = ["Result", "shown_objects"]
+
+
+def shown_objects(result: Segmentation) -> str:
+    """Write the status, unless it is the usual one, and the ids of a result."""
+    objects = " ".join(str(one.layer) for one in result.layers) or "none"
+    status = "" if result.status == "ok" else f", {result.status}"
+    return f"{status}, objects {objects}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,17 +44,15 @@ class Result(Segmentation):
 
     def __repr__(self) -> str:
         height, width = self.labels.shape
-        objects = " ".join(str(one.layer) for one in self.layers) or "none"
-        status = "" if self.status == "ok" else f", {self.status}"
         changes = (("born", self.born), ("absent", self.absent), ("ended", self.ended))
         changed = "".join(f", {word} {' '.join(map(str, ids))}" for word, ids in changes if ids)
-        return f"Result(frame {self.frame_index}, {width}×{height}{status}, objects {objects}{changed})"
+        return f"Result(frame {self.frame_index}, {width}×{height}{shown_objects(self)}{changed})"
 
     def _repr_html_(self) -> str:
         """Show the label map and a row for each object, in a notebook."""
         from mlbs_actors.pictures.notebook import result_as_html
 
-        return result_as_html(self)
+        return result_as_html(self, f"frame {self.frame_index}")
 
     @classmethod
     def of(cls, segmentation: Segmentation, tag: object, known: set[int], possible: set[int]) -> Result:

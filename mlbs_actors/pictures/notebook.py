@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from typing import TYPE_CHECKING
+from html import escape
 
 import cv2
 import numpy as np
 
-from mlbs_actors.messages import Array
+from mlbs_actors.messages import Array, Segmentation
 from mlbs_actors.pictures.layer_colours import layer_colour
-
-if TYPE_CHECKING:
-    from mlbs_actors.result import Result
 
 __all__ = ["label_colours", "result_as_html"]
 
@@ -32,8 +29,8 @@ def label_colours(labels: Array) -> Array:
     return painted
 
 
-def result_as_html(result: Result) -> str:
-    """Return the HTML of a result, with its picture in it."""
+def result_as_html(result: Segmentation, frame: str) -> str:
+    """Return the HTML of the result of a frame that has this name, with its picture in it."""
     height, width = result.labels.shape
     share = min(1.0, _SIDE / max(height, width))
     size = (max(1, round(width * share)), max(1, round(height * share)))
@@ -50,7 +47,7 @@ def result_as_html(result: Result) -> str:
         rows.append(f"<tr><td colspan=6>and {len(result.layers) - _ROWS} more</td></tr>")
     head = "".join(f"<th>{name}</th>" for name in _COLUMNS)
     return (
-        f"<div>frame {result.frame_index}, {width}×{height}, {result.status}</div>"
+        f"<div>{escape(frame)}, {width}×{height}, {result.status}</div>"
         f'<img alt="label map" src="data:image/png;base64,{b64encode(png).decode("ascii")}">'
         f"<table><tr>{head}</tr>{''.join(rows)}</table>"
     )

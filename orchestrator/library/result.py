@@ -9,6 +9,7 @@ import numpy as np
 
 from mlbs_actors.extras import needing
 from mlbs_actors.messages import Array, Segmentation
+from mlbs_actors.result import shown_objects
 from mlbs_actors.source import SourceFrame
 
 with needing("run"):
@@ -40,6 +41,17 @@ class StreamResult(Segmentation):
     frame: int
     time: float
     name: str
+
+    def __repr__(self) -> str:
+        height, width = self.labels.shape
+        place = f"{self.stream}, frame {self.frame}, {self.time:.2f} s"
+        return f"StreamResult({place}, {width}×{height}{shown_objects(self)})"
+
+    def _repr_html_(self) -> str:
+        """Show the label map and a row for each object, in a notebook."""
+        from mlbs_actors.pictures.notebook import result_as_html
+
+        return result_as_html(self, f"{self.stream}, frame {self.frame}, {self.time:.2f} s")
 
     @classmethod
     def of(cls, segmentation: Segmentation, frame: SourceFrame, stream: str) -> StreamResult:

@@ -87,10 +87,10 @@ def test_lines_differ_by_more_than_their_colours_and_begin_at_the_number_of_the_
     panel = plots._over_time("a", 0, rows).axes[0]
     one, two = panel.lines
     assert one.get_linestyle() != two.get_linestyle()
-    assert list(one.get_xdata()) == [5, 6, 7]
+    assert np.asarray(one.get_xdata()).tolist() == [5, 6, 7]
     assert panel.get_xlim()[0] == 5
     unnumbered = [replace(row, results=(replace(result, stems=("a", "b", "c")),)) for row in rows]
-    assert list(plots._over_time("a", 0, unnumbered).axes[0].lines[0].get_xdata()) == [0, 1, 2]
+    assert np.asarray(plots._over_time("a", 0, unnumbered).axes[0].lines[0].get_xdata()).tolist() == [0, 1, 2]
 
 
 def test_plots_without_matplotlib_are_refused_before_anything_is_scored(
