@@ -21,7 +21,7 @@ from mlbs_actors.actors.node.burst_limiter import BurstLimiter
 from mlbs_actors.actors.node.failures import COORDINATOR, explain
 from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.pool import PoolActor, PoolCensus, PoolPolicy
-from mlbs_actors.actors.node.processes import cores_of, end, get, here, identity, spawn
+from mlbs_actors.actors.node.processes import cores_of, end, get, here, identity, is_there, spawn
 from mlbs_actors.actors.node.reservation import Reservation
 from mlbs_actors.actors.parts import EngineParts, PartFactory
 from mlbs_actors.actors.standby import StandbyProcesses
@@ -194,6 +194,8 @@ class Node:
             if self._closed:
                 return
             self._closed = True
+        if not is_there():
+            return
         left = self._home.standby.close()
         with suppress(RayError, GetTimeoutError):
             get(self._pool.close.remote(), _STOP_SECONDS)
@@ -332,6 +334,8 @@ class StreamActors:
         if self._stopped:
             return self._final
         self._stopped = True
+        if not is_there():
+            return None
         self._wake()
         if drain:
             with suppress(MlbsError):

@@ -405,6 +405,7 @@ class ThreadHost:
     def __init__(self) -> None:
         self.news = threading.Condition()  # a call, an answer, or a kill
         self._actors: list[_Actor] = []
+        self.there = True
 
     def spawn(
         self, kind: type, arguments: Sequence[object], *, node: str, reservation: object, name: str | None
@@ -432,6 +433,9 @@ class ThreadHost:
         self._wait_for(lambda: len(there()) >= least, timeout)
         chosen = there()[:least]
         return chosen, [one for one in references if one not in chosen]
+
+    def is_there(self) -> bool:
+        return self.there
 
     def kill(self, handle: ThreadHandle) -> None:
         handle.actor.kill()

@@ -45,6 +45,9 @@ class Host(Protocol):
     ) -> tuple[list[Reference], list[Reference]]:
         """Wait for some answers, for at most this time, s; return those that are there, and the others."""
 
+    def is_there(self) -> bool:
+        """Whether it still runs actors; without it none is left, and none of its calls may be made."""
+
     def kill(self, handle: Handle) -> None:
         """End an actor whatever it is doing, without waiting for it."""
 
@@ -89,6 +92,10 @@ class RayHost:
     ) -> tuple[list[Reference], list[Reference]]:
         """See :meth:`Host.wait`."""
         return ray.wait(list(references), num_returns=least, timeout=timeout)
+
+    def is_there(self) -> bool:
+        """Whether there is a session: without one, any call of Ray's would set up or join another."""
+        return bool(ray.is_initialized())
 
     def kill(self, handle: Handle) -> None:
         """See :meth:`Host.kill`."""

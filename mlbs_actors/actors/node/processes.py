@@ -18,6 +18,7 @@ from mlbs_actors.actors.node.idle_threads import relax_thread_timers
 from mlbs_actors.actors.node.priority import stepping_back
 from mlbs_actors.actors.node.process_memory import settle_memory
 from mlbs_actors.actors.node.reservation import Reservation
+from mlbs_actors.errors import MlbsError
 
 __all__ = [
     "LOST_PROCESS",
@@ -29,6 +30,7 @@ __all__ = [
     "hosted_by",
     "identity",
     "is_answered",
+    "is_there",
     "kill",
     "spawn",
     "spawn_standby",
@@ -82,7 +84,14 @@ def spawn(
     -------
     Handle
         Errors at the start are raised by the first call.
+
+    Raises
+    ------
+    MlbsError
+        If what runs the actors has ended.
     """
+    if not is_there():
+        raise MlbsError("The Ray session has ended; start a new run in another one.")
     return _host.spawn(kind, arguments, node=node, reservation=reservation, name=name)
 
 
@@ -179,6 +188,11 @@ def is_answered(reference: Reference) -> bool:
     return bool(there)
 
 
+def is_there() -> bool:
+    """Whether what runs the actors has not ended: then nothing is left of them, and nothing may be asked."""
+    return _host.is_there()
+
+
 def kill(handle: Handle) -> None:
     """End an actor whatever it is doing, without waiting for it; see :func:`end`."""
     _host.kill(handle)
@@ -214,6 +228,8 @@ def end(handles: Iterable[Handle], seconds: float = 10.0) -> bool:
     bool
         Whether all are gone.
     """
+    if not is_there():
+        return True
     deadline = time.monotonic() + seconds
     ending = list(handles)
     for handle in ending:
