@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import logging
 import signal
 from collections import Counter, deque
@@ -17,7 +18,7 @@ from ray.exceptions import RayActorError
 
 from mlbs_actors.actors.node.host import Handle, Reference
 from mlbs_actors.actors.node.memory import node_memory
-from mlbs_actors.actors.node.processes import end, get, here, spawn
+from mlbs_actors.actors.node.processes import end, get, here, is_there, spawn
 from mlbs_actors.actors.stream.protocol import StreamSpec
 from mlbs_actors.config import Config
 from mlbs_actors.errors import ConfigError, MlbsError
@@ -48,6 +49,8 @@ _MOST_WAITING = 64
 #: s.
 _MOST_TAKEN, _WAIT_SECONDS = 16, 0.5
 
+_SESSION_ENDED = "The Ray session has ended before the run; close the run before ray.shutdown()."
+
 #: What a run yields.
 Yielded = TypeVar("Yielded")
 
@@ -57,12 +60,14 @@ class Run(Generic[Yielded]):
 
     Iterate it, with ``for`` or ``async for`` and one iteration at a time: it yields every committed result
     once, those of a stream in order, and ends when all streams have ended. A stream that fails ends alone;
-    :meth:`status` says why. A ``with`` or ``async with`` block closes it.
+    :meth:`status` says why. A ``with`` or ``async with`` block closes it, or else the end of the program.
 
     Parameters
     ----------
     listed : sequence of ListedStream
         Its first streams.
+    folder : RunFolder
+        In which no run has begun.
     arguments : Arguments
     config : Config
     session : ExitStack
@@ -81,6 +86,7 @@ class Run(Generic[Yielded]):
     def __init__(
         self,
         listed: Sequence[ListedStream],
+        folder: RunFolder,
         arguments: Arguments,
         config: Config,
         session: ExitStack,
@@ -88,8 +94,7 @@ class Run(Generic[Yielded]):
         shared: bool,
         references: bool,
     ) -> None:
-        self._folder = RunFolder(arguments.output)
-        self._folder.refuse_if_used([stream.name for stream in listed])
+        self._folder = folder
         deliveries = Deliveries((), self._folder.path, _log.warning)
         self._job = Job(
             StreamsFile(tuple(listed), {}), arguments, config, self._folder, None, _log.warning, deliveries
@@ -128,6 +133,9 @@ class Run(Generic[Yielded]):
         )
         self._thread = Thread(target=self._drive, name="mlbs-actors-run", daemon=True)
         self._thread.start()
+        # Ray leaves its session at exit, in a call that it registered before this one and that comes after
+        # it. A run that went on would then set up a session, or join one of somebody else's.
+        atexit.register(self.close)
 
     def add(self, name: str, source: str | Path) -> None:
         """Start another stream, or one that was removed, which goes on where it was.
@@ -135,7 +143,7 @@ class Run(Generic[Yielded]):
         Raises
         ------
         ConfigError
-            If the name is taken, or one of them cannot be used.
+            If the name is taken, one of them cannot be used, or there is no such file.
         """
         stream = listed_stream(name, source)
         with self._changing:
@@ -175,6 +183,7 @@ class Run(Generic[Yielded]):
         """Stop, and release everything; results that were not taken are dropped. May be called twice."""
         self.stop()
         self._held.close()
+        atexit.unregister(self.close)
 
     def update(self, states: Sequence[StreamState]) -> None:
         """Receive the states of all streams from the driver."""
@@ -233,6 +242,8 @@ class Run(Generic[Yielded]):
         return f"<Run in {self._folder.path}: {', '.join(f'{n} {name}' for name, n in states.items())}>"
 
     def _ask(self) -> Reference:
+        if not is_there():
+            raise MlbsError(_SESSION_ENDED)
         if self._asked is None:
             ready, take = self._queue.ready, self._queue.take
             asked = (
@@ -272,6 +283,8 @@ class Run(Generic[Yielded]):
         return delivered(spec, self._queue)
 
     def _next_change(self) -> SpecChange | None:
+        if not is_there():
+            raise MlbsError(_SESSION_ENDED)
         with self._changing:
             return self._changes.pop(0) if self._changes else None
 
@@ -283,7 +296,8 @@ class Run(Generic[Yielded]):
             self._failure = error
             _log.exception("The run has failed.")
         finally:
-            self._host.close()
+            if is_there():
+                self._host.close()
 
 
 def _lost() -> MlbsError:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import ExitStack
+from os import PathLike, fspath
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, overload
 
 from mlbs_actors.config import Config
-from mlbs_actors.errors import ConfigError
+from mlbs_actors.errors import ConfigError, SourceError
 from orchestrator.credentials import mask
 from orchestrator.events.zones import ZonesFile
 from orchestrator.ignored import Ignored
@@ -19,6 +20,9 @@ from orchestrator.option_values import LEAST_SIDE, SAVABLE
 from orchestrator.options import Arguments
 from orchestrator.run.argument_streams import argument_address, argument_streams
 from orchestrator.run.listed_stream import ListedStream, check_name
+from orchestrator.run.run_folder import RunFolder
+from orchestrator.run.stream_list import missing_sources
+from orchestrator.sources.presence import require_source
 
 if TYPE_CHECKING:
     import ray
@@ -84,7 +88,8 @@ def start(
         Folder of the run's record, which must not hold one; on a cluster all nodes must see it. By default it
         is temporary, and holds only what streams need to go on after a loss.
     save : collection of str
-        What is written there: any of masks, parquet, overlay, background, cutouts.
+        What is written to ``output``, which must be given then: any of masks, parquet, overlay, background,
+        cutouts.
     max_frames : int, optional
         Each stream ends after so many label maps.
     max_side : int, optional
@@ -101,27 +106,22 @@ def start(
     Raises
     ------
     ConfigError
-        If something of this cannot be used; nothing was started.
+        If something of this cannot be used, or a file is not there; nothing was started.
     MlbsError
         If Ray does not start.
     """
-    if unknown := sorted(set(save) - set(SAVABLE)):
-        raise ConfigError(f"save holds {unknown[0]!r}; it may hold {', '.join(SAVABLE)}.")
-    if output is not None and "://" in str(output):
-        raise ConfigError(
-            f"output is {mask(str(output))}; give a folder of this machine. Only the command publishes to an "
-            "object store."
-        )
+    _check_config(config)
+    _check_output(output, save)
     for name, number, least in (("max_frames", max_frames, 1), ("max_side", max_side, LEAST_SIDE)):
-        if number is not None and number < least:
-            raise ConfigError(f"{name} is {number}; it must be at least {least}.")
+        _check_number(name, number, least)
     listed = _listed(streams)
     with ExitStack() as session:
         if output is None:
             output = session.enter_context(TemporaryDirectory(prefix="mlbs-actors-run-"))
-        folder = Path(output).resolve()
+        folder = RunFolder(Path(output).resolve(), "output=")
+        folder.refuse_if_used([stream.name for stream in listed])
         arguments = Arguments(
-            output=folder,
+            output=folder.path,
             address=address,
             save=frozenset(save),
             max_frames=max_frames,
@@ -134,19 +134,25 @@ def start(
         from orchestrator.library.run import Run
 
         run: Run[Any] = Run(
-            listed, arguments, config or Config(), session, shared=shared, references=references
+            listed, folder, arguments, config or Config(), session, shared=shared, references=references
         )
         return run
 
 
 def listed_stream(name: str, source: str | Path) -> ListedStream:
     """Check a stream's name and source; raises ConfigError."""
+    if not isinstance(name, str):
+        raise ConfigError(f"A stream is named {name!r}; give its name as text.")
     try:
         check_name(name, given=True)
-        return ListedStream(name, argument_address(str(source)), None)
-    except ConfigError as error:
-        text = str(error).rstrip(".")
-        raise ConfigError(f"{text[0].upper()}{text[1:]}.") from None
+        stream = ListedStream(name, argument_address(_text_of(source)), None)
+        require_source(stream.source)
+    except (ConfigError, SourceError) as error:
+        text = str(error)
+        raise ConfigError(
+            f"{text[0].upper()}{text[1:].rstrip('.')}{'' if text[-1] == '?' else '.'}"
+        ) from None
+    return stream
 
 
 def _listed(streams: Sources) -> tuple[ListedStream, ...]:
@@ -154,4 +160,49 @@ def _listed(streams: Sources) -> tuple[ListedStream, ...]:
         streams = [streams]
     if isinstance(streams, Mapping):
         return tuple(listed_stream(name, source) for name, source in streams.items())
-    return argument_streams([str(source) for source in streams])
+    if not isinstance(streams, Iterable):
+        raise ConfigError(f"streams is {streams!r}; give a list of sources, or a dict by their names.")
+    listed = argument_streams([_text_of(source) for source in streams])
+    for reason in missing_sources(listed).values():
+        raise ConfigError(reason)
+    return listed
+
+
+def _text_of(source: str | Path) -> str:
+    if not isinstance(source, str | PathLike):
+        raise ConfigError(
+            f"A source is {source!r}; give a path or an address as text, such as 'street.mp4' or 'rtsp://…'."
+        )
+    return fspath(source)
+
+
+def _check_config(config: object) -> None:
+    if config is not None and not isinstance(config, Config):
+        raise ConfigError(f"config is {config!r}; it must be a Config: load it with mlbs_actors.load_config.")
+
+
+def _check_output(output: str | Path | None, save: Collection[str]) -> None:
+    if isinstance(save, str):
+        raise ConfigError(f"save is one word, {save!r}; give a list: [{save!r}].")
+    if unknown := sorted(set(map(str, save)) - set(SAVABLE)):
+        raise ConfigError(f"save holds {unknown[0]!r}; it may hold {', '.join(SAVABLE)}.")
+    if output is None:
+        if save:
+            raise ConfigError(f"save is {list(save)}, but nothing would be left: give output, a folder, too.")
+        return
+    if not isinstance(output, str | PathLike):
+        raise ConfigError(f"output is {output!r}; give the path of a folder.")
+    if "://" in str(output):
+        raise ConfigError(
+            f"output is {mask(str(output))}; give a folder of this machine. Only the command publishes to an "
+            "object store."
+        )
+
+
+def _check_number(name: str, number: object, least: int) -> None:
+    if number is None:
+        return
+    if not isinstance(number, int):
+        raise ConfigError(f"{name} is {number!r}; it must be a whole number, at least {least}.")
+    if number < least:
+        raise ConfigError(f"{name} is {number}; it must be at least {least}.")

@@ -46,10 +46,13 @@ class RunFolder:
     ----------
     path : Path
         May exist, but must not hold a run, nor a folder of one of the streams.
+    given_as : str
+        What names it, for messages.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, given_as: str = "--output") -> None:
         self.path = path
+        self._given_as = given_as
 
     def stream(self, name: str) -> Path:
         """Folder of one stream's record."""
@@ -64,21 +67,24 @@ class RunFolder:
             If the folder holds a run or part of one, is no folder, or cannot be written to.
         """
         if self.holds_run:
+            going_on = ", or continue that run with --resume" if self._given_as == "--output" else ""
             raise ConfigError(
-                f"The output folder {self.path} holds a run already; "
-                "choose another one with --output, or continue that run with --resume."
+                f"The output folder {self.path} holds a run already; choose another one with "
+                f"{self._given_as}{going_on}."
             )
         existing = next((name for name in names if os.path.lexists(self.path / name)), None)
         if existing is not None:
             raise ConfigError(
                 f"The output folder {self.path} holds {existing!r} already, where the stream of that name "
-                "would be recorded; choose another folder with --output."
+                f"would be recorded; choose another folder with {self._given_as}."
             )
         nearest = next(parent for parent in (self.path, *self.path.absolute().parents) if parent.exists())
         if not nearest.is_dir():
-            raise ConfigError(f"{nearest} is not a folder; choose another one with --output.")
+            raise ConfigError(f"{nearest} is not a folder; choose another one with {self._given_as}.")
         if not os.access(nearest, os.W_OK | os.X_OK):
-            raise ConfigError(f"The folder {nearest} cannot be written to; choose another one with --output.")
+            raise ConfigError(
+                f"The folder {nearest} cannot be written to; choose another one with {self._given_as}."
+            )
 
     @property
     def holds_run(self) -> bool:
@@ -141,7 +147,7 @@ class RunFolder:
         except Timeout:
             raise ConfigError(
                 f"Another run is at work in {self.path}; wait for its end, or choose another folder with "
-                "--output."
+                f"{self._given_as}."
             ) from None
         except OSError as error:
             raise ConfigError(f"Cannot write to {self.path}: {error.strerror}.") from None
@@ -172,7 +178,7 @@ class RunFolder:
                 os.link(draft.name, self.path / "run.json")
         except FileExistsError:
             raise ConfigError(
-                f"Another run has begun in {self.path}; choose another folder with --output."
+                f"Another run has begun in {self.path}; choose another folder with {self._given_as}."
             ) from None
         except OSError as error:
             raise ConfigError(f"Cannot write to {self.path}: {error.strerror}.") from None

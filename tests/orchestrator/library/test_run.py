@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ from mlbs_actors import MultilayerSubtractor, Result
 from mlbs_actors.actors.node.pool import PoolPolicy
 from mlbs_actors.actors.node.processes import get
 from mlbs_actors.actors.pipeline import Node
-from mlbs_actors.errors import ConfigError
+from mlbs_actors.errors import ConfigError, MlbsError
 from mlbs_actors.scenes.synthetic import scene_from_uri
 from orchestrator import StreamResult
 from orchestrator.library import run as library_run
@@ -188,6 +190,46 @@ def test_wrong_words_are_refused_before_anything_is_started() -> None:
         orchestrator.start({"a": SCENE}, max_side=10)
 
 
+@pytest.mark.parametrize(
+    ("streams", "settings", "sentence"),
+    [
+        ({"a": SCENE}, {"max_frames": "3"}, "max_frames is '3'; it must be a whole number, at least 1"),
+        ({"a": SCENE}, {"max_side": 320.0}, "max_side is 320.0; it must be a whole number, at least 64"),
+        ({"a": SCENE}, {"config": "x.yaml"}, "config is 'x.yaml'; .* load it with mlbs_actors.load_config"),
+        ({"a": SCENE}, {"save": ["masks"]}, "nothing would be left: give output, a folder, too"),
+        ({"a": SCENE}, {"save": "masks"}, r"save is one word, 'masks'; give a list: \['masks'\]"),
+        ({"a": SCENE}, {"output": 3}, "output is 3; give the path of a folder"),
+        (3, {}, "streams is 3; give a list of sources, or a dict by their names"),
+        ([3], {}, "A source is 3; give a path or an address as text"),
+        ({"a": None}, {}, "A source is None; give a path"),
+        ({3: SCENE}, {}, "A stream is named 3; give its name as text"),
+        ({"a": "stret.mp4"}, {}, r"There is no file or folder .*stret\.mp4; did you mean 'street\.mp4'\?$"),
+        (["street.mp5"], {}, r"There is no file or folder .*street\.mp5"),
+    ],
+)
+def test_what_cannot_be_started_is_told_before_ray_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, streams: Any, settings: dict[str, Any], sentence: str
+) -> None:
+    (tmp_path / "street.mp4").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(starting, "present_ray", None)
+    with pytest.raises(ConfigError, match=sentence):
+        orchestrator.start(streams, **settings)
+
+
+def test_an_output_that_holds_a_run_is_told_before_ray_is_and_without_options_of_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(starting, "present_ray", None)
+    (tmp_path / "run.json").touch()
+    with pytest.raises(ConfigError, match=r"holds a run already; choose another one with output=\.$"):
+        orchestrator.start({"a": SCENE}, output=tmp_path)
+    (tmp_path / "run.json").unlink()
+    (tmp_path / "a").touch()
+    with pytest.raises(ConfigError, match=r"holds 'a' already, .*; choose another folder with output=\.$"):
+        orchestrator.start({"a": SCENE}, output=tmp_path)
+
+
 def test_a_run_that_could_not_begin_leaves_its_folder_to_the_next_try(
     host: ThreadHost, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,6 +242,55 @@ def test_a_run_that_could_not_begin_leaves_its_folder_to_the_next_try(
             orchestrator.start({"a": SCENE}, output=tmp_path / "out")
     with orchestrator.start({"a": SCENE}, output=tmp_path / "out", max_frames=2) as run:
         assert len(list(run)) == 2
+
+
+def test_a_run_that_is_left_open_is_closed_at_the_end_of_the_program_and_not_again(
+    host: ThreadHost, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_exit: list[Callable[[], None]] = []
+    monkeypatch.setattr(atexit, "register", at_exit.append)
+    monkeypatch.setattr(atexit, "unregister", at_exit.remove)
+    open_run = orchestrator.start({"a": LONG})
+    assert at_exit.count(open_run.close) == 1
+    next(open_run)
+    at_exit[at_exit.index(open_run.close)]()
+    assert open_run.status()["a"].interrupted
+    assert open_run.close not in at_exit
+
+
+def test_a_run_whose_session_has_ended_fails_and_calls_nothing_any_more(
+    host: ThreadHost, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = orchestrator.start({"a": LONG})
+    next(run)
+    monkeypatch.setattr(host, "there", False)
+    monkeypatch.setattr(host, "spawn", None)
+    monkeypatch.setattr(host, "kill", None)
+    with pytest.raises(MlbsError, match=r"close the run before ray\.shutdown\(\)"):
+        list(run)
+    run.close()
+
+
+@pytest.mark.long
+@pytest.mark.ray
+@pytest.mark.parametrize("ending", ["", "ray.shutdown()", "run.close(); ray.shutdown()"])
+def test_a_program_that_leaves_a_run_open_ends_and_joins_no_other_session(
+    tmp_path: Path, ending: str
+) -> None:
+    program = (
+        "import ray, orchestrator, time\n"
+        "begun, init = [], ray.init\n"
+        "ray.init = lambda *a, **k: (begun.append(1), print('init', flush=True), init(*a, **k))\n"
+        "ray.init(address='local', num_cpus=2, logging_level='ERROR', log_to_driver=False)\n"
+        f"run = orchestrator.start({{'a': {LONG!r}}})\n"
+        "next(run); print('one', flush=True)\n"
+        f"{ending}\n"
+        "if not ray.is_initialized(): time.sleep(5)\n"
+        "print('end', flush=True)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.split() == ["init", "one", "end"], ended.stderr
 
 
 @pytest.mark.long
