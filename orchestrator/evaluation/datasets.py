@@ -37,7 +37,7 @@ __all__ = [
 _ANNOTATIONS = frozenset({"Annotations", "Annotations_unsupervised"})
 
 
-def data_root(given: Path | None) -> Path:
+def data_root(given: str | Path | None) -> Path:
     """Return the folder of the sequences: the one given, else the one that ``MLBS_DATA`` names.
 
     Raises
@@ -45,9 +45,10 @@ def data_root(given: Path | None) -> Path:
     ConfigError
         If neither is there, or it is no folder.
     """
-    root = given or (Path(os.environ[DATA_VARIABLE]) if os.environ.get(DATA_VARIABLE) else None)
-    if root is None:
+    named = given or os.environ.get(DATA_VARIABLE)
+    if not named:
         raise ConfigError(f"Give --data ROOT, or set {DATA_VARIABLE} to the folder of the sequences.")
+    root = Path(named)
     if not root.is_dir():
         raise ConfigError(f"{root} is no folder; give the folder that holds the sequences.")
     return root
@@ -82,13 +83,13 @@ def _names_of(text: str, data: Path | None) -> list[str]:
     return names
 
 
-def open_sequence(name: str, root: Path | None) -> Sequence:
+def open_sequence(name: str, root: str | Path | None) -> Sequence:
     """Open ``synthetic:NAME?…``, or the sequence of that name below the root.
 
     Parameters
     ----------
     name : str
-    root : Path or None
+    root : str or Path or None
         None for the folder that the environment variable ``MLBS_DATA`` names. Scenes need none.
 
     Raises

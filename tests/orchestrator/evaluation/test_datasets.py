@@ -41,6 +41,7 @@ def test_a_davis_tree_has_a_folder_for_the_resolution(tmp_path: Path) -> None:
     assert find_sequences(tmp_path / "DAVIS/Annotations/480p") == ["dog", "goat"]
     sequence = open_sequence("480p/dog", tmp_path / "DAVIS")
     assert sequence.stems == ("00000", "00001")
+    assert open_sequence("480p/dog", str(tmp_path / "DAVIS")).stems == sequence.stems
     np.testing.assert_array_equal(sequence.truth(0), truth_of(1))
     assert sequence.frame(0).shape == (HEIGHT, WIDTH, 3)
 
