@@ -82,14 +82,14 @@ def _changed(values: dict[str, Any], overrides: Sequence[str]) -> Config:
         name, equals, text = override.partition("=")
         section, dot, key = name.strip().partition(".")
         if not (equals and dot and section and key):
-            raise ConfigError(f"Cannot use --set {override!r}; write it as in layers.lookahead=4.")
+            raise ConfigError(f"{override!r} sets no parameter; write it as in layers.lookahead=4.")
         group = values.get(section) or {}
         if not isinstance(group, dict):
             raise ConfigError(f"The section {section!r} must hold key: value pairs.")
         try:
             values = {**values, section: {**group, key: yaml.safe_load(text)}}
         except yaml.YAMLError as error:
-            raise ConfigError(f"The value in --set {override!r} cannot be read: {error}.") from error
+            raise ConfigError(f"The value in {override!r} cannot be read: {error}.") from error
     try:
         return Config.model_validate(values)
     except ValidationError as error:
