@@ -13,8 +13,8 @@ from orchestrator.program import program_name
 __all__ = ["main"]
 
 _PRIVACY = """\
-The sound is copied. Whatever is blurred, pixelated or cut out is what the run has found: what it missed in a
-frame is seen there, and people are known by more than their faces. That is no promise of privacy."""
+The sound is copied. Whatever is blurred, pixelated or cut out is what the run has found: what it missed is
+seen, and people are known by more than their faces. That is no promise of privacy."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
