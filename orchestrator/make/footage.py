@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from mlbs_actors.wording import count_of
 from orchestrator.export.replay import with_pictures
 from orchestrator.make.choice import Choice, Chosen
 from orchestrator.make.moments import Span, clock
-from orchestrator.make.watching import watched
+from orchestrator.make.watching import Watch
 from orchestrator.pictures.content import Drawing
 from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sources.address import SourceAddress, parse_address
@@ -77,8 +77,8 @@ class Footage:
         Recorded frames in the span.
     missing : int
         How many of these had no picture, as far as they were last read.
-    say : callable
-        Is told how far they are read, if standard error is no terminal; by default nobody is.
+    watch : Watch
+        Shows how far they are read; by default only on a terminal.
     """
 
     stream: Path
@@ -89,7 +89,7 @@ class Footage:
     chosen: Chosen
     count: int
     missing: int = field(default=0, init=False)
-    say: Callable[[str], None] = field(default=lambda _: None, init=False)
+    watch: Watch = field(default_factory=lambda: Watch(lambda _: None), init=False)
 
     @classmethod
     def of(
@@ -153,7 +153,7 @@ class Footage:
             After the last frame, if none had a picture.
         """
         missing = 0
-        pairs = self._pairs() if doing is None else watched(self._pairs(), doing, self.count, self.say)
+        pairs = self._pairs() if doing is None else self.watch.shown(self._pairs(), doing, self.count)
         try:
             for whole, picture in pairs:
                 if picture is None or picture.shape[:2] != (whole.height, whole.width):

@@ -17,6 +17,7 @@ from orchestrator.export.made_folder import is_made, mark_made
 from orchestrator.make.choice import EVERYTHING, Choice
 from orchestrator.make.footage import Footage
 from orchestrator.make.moments import ALL, Span
+from orchestrator.make.watching import Watch
 from orchestrator.make.writing import Manner, files_of, suffixes_of, write
 from orchestrator.pictures.privacy import is_private
 from orchestrator.sinks.record import recorded_frames
@@ -153,7 +154,7 @@ def _made_of_streams(task: _Task, say: Callable[[str], None]) -> Iterator[Path]:
         try:
             edits = edits_of(folder, request.edits)
             footage = Footage.of(folder, source, request.choice, request.span, edits, private=private)
-            footage.say = say
+            footage.watch = Watch(say)
             path, remarks = _made(request, footage, task.places[name])
         except ConfigError as error:
             faults.append(str(error))

@@ -12,46 +12,45 @@ from rich.progress import track
 
 from mlbs_actors.wording import count_of
 
-__all__ = ["watched"]
+__all__ = ["Watch"]
 
 _SECONDS = 10.0  # between two lines
 
 _Item = TypeVar("_Item")
 
 
-def watched(items: Iterable[_Item], doing: str, frames: int, say: Callable[[str], None]) -> Iterator[_Item]:
-    """Pass frames on and show how many of all were.
+class Watch:
+    """Shows the progress of one thing, which may take several passes over its frames.
 
     Parameters
     ----------
-    items : iterable
-        One for each frame.
-    doing : str
-        What is made of them.
-    frames : int
     say : callable
         Is given the lines, if standard error is no terminal.
+    clock : callable
+        Monotonic time, s.
     """
-    console = Console(stderr=True)
-    if console.is_terminal:
-        yield from track(items, doing, frames, console=console, transient=True)
-    else:
-        yield from told(items, doing, frames, say)
 
+    def __init__(self, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._say = say
+        self._clock = clock
+        self._said = clock()
 
-def told(
-    items: Iterable[_Item],
-    doing: str,
-    frames: int,
-    say: Callable[[str], None],
-    clock: Callable[[], float] = time.monotonic,
-) -> Iterator[_Item]:
-    """Pass frames on; every 10 s say how many of all were, and how long the rest will take."""
-    begin = said = clock()
-    for done, item in enumerate(items):
-        now = clock()
-        if done and now - said >= _SECONDS:
-            said = now
-            left = timedelta(seconds=round((now - begin) / done * (frames - done)))
-            say(f"{doing}: {done} of {count_of(frames, 'frame')}, {left} left")
-        yield item
+    def shown(self, items: Iterable[_Item], doing: str, frames: int) -> Iterator[_Item]:
+        """Pass one item a frame on, and show how many of all were; ``doing`` names the pass."""
+        console = Console(stderr=True)
+        if console.is_terminal:
+            yield from track(items, doing, frames, console=console, transient=True)
+        else:
+            yield from self.told(items, doing, frames)
+
+    def told(self, items: Iterable[_Item], doing: str, frames: int) -> Iterator[_Item]:
+        """Do the same in lines, one every 10 s, with the time that the rest of this pass will take."""
+        begin = self._clock()
+        for done, item in enumerate(items):
+            now = self._clock()
+            if now - self._said >= _SECONDS:
+                self._said = now
+                seconds = (now - begin) / max(done, 1) * (frames - done)
+                left = f", {timedelta(seconds=round(seconds))} left" if done else ""
+                self._say(f"{doing}: {done} of {count_of(frames, 'frame')}{left}")
+            yield item

@@ -33,7 +33,7 @@ from orchestrator.make.ground import Ground, ground_of
 from orchestrator.make.kinds import KINDS
 from orchestrator.make.missed import covered_shots
 from orchestrator.make.moments import ALL
-from orchestrator.make.watching import told
+from orchestrator.make.watching import Watch
 from orchestrator.run.job import Job
 from orchestrator.run.makings import make_of_all
 from orchestrator.run.run_folder import RunFolder
@@ -398,12 +398,19 @@ def test_what_a_mask_misses_is_covered_if_masks_around_it_have_it(tmp_path: Path
 def test_progress_is_told_every_ten_seconds_with_the_time_left() -> None:
     said: list[str] = []
     times = iter(range(0, 1000, 4))
-    assert list(told(range(10), "blur.mp4", 10, said.append, lambda: next(times))) == list(range(10))
+    watch = Watch(said.append, lambda: next(times))
+    for doing in ("look", "blur.mp4"):
+        assert list(watch.told(range(5), doing, 5)) == list(range(5))
     assert said == [
-        "blur.mp4: 2 of 10 frames, 0:00:48 left",
-        "blur.mp4: 5 of 10 frames, 0:00:24 left",
-        "blur.mp4: 8 of 10 frames, 0:00:09 left",
+        "look: 1 of 5 frames, 0:00:32 left",
+        "look: 4 of 5 frames, 0:00:05 left",
+        "blur.mp4: 1 of 5 frames, 0:00:32 left",
+        "blur.mp4: 4 of 5 frames, 0:00:05 left",
     ]
+    # A pass may begin long after the last line, as its first frame took so long.
+    times = iter([0, 0, 11, 12])
+    list(Watch(said.append, lambda: next(times)).told(range(2), "look", 2))
+    assert said[-1] == "look: 0 of 2 frames"
 
 
 def test_clips_are_shown_as_they_are_unless_objects_are_asked_for(run: Path) -> None:
