@@ -28,17 +28,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("format", choices=FORMATS)
     parser.add_argument("run", type=Path, metavar="DIR", help="the run's output folder")
-    parser.add_argument("out", type=Path, metavar="OUT", help="what to write; must not be there yet")
+    parser.add_argument("out", type=Path, metavar="OUT", help="what to write")
+    parser.add_argument("--replace", action="store_true", help="replace what was exported there before")
     parser.add_argument(
         "--internals",
         action="store_true",
         help="rerun only: segment the streams once more, which takes its time, and record the trajectories, "
         "motion fields and posteriors of every layer too; not of cameras",
     )
-    given = parser.parse_args(argv)
+    given = parser.parse_intermixed_args(argv)
     from orchestrator.export.command import export  # the help needs nothing that is installed
 
-    return export(given.format, given.run, given.out, internals=given.internals)
+    return export(given.format, given.run, given.out, internals=given.internals, replace=given.replace)
 
 
 if __name__ == "__main__":

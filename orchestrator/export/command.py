@@ -12,6 +12,7 @@ from typing import TypeAlias
 from mlbs_actors.errors import ConfigError
 from orchestrator.export.coco import write_coco
 from orchestrator.export.csv_table import write_csv
+from orchestrator.export.made_folder import is_made, mark_made
 from orchestrator.export.mot import write_mot
 from orchestrator.export.mots import write_mots
 from orchestrator.export.overlay import write_overlays
@@ -50,7 +51,7 @@ WRITERS: dict[str, _Writer] = {
 _FILES = ("csv", "coco", "rerun")
 
 
-def export(form: str, run: Path, out: Path, *, internals: bool = False) -> int:
+def export(form: str, run: Path, out: Path, *, internals: bool = False, replace: bool = False) -> int:
     """Write a run in a format; return the exit status: 0 written, 1 a disk error, 2 impossible.
 
     Parameters
@@ -60,9 +61,11 @@ def export(form: str, run: Path, out: Path, *, internals: bool = False) -> int:
     run : Path
         The run's output folder.
     out : Path
-        Must not be there yet.
+        Must not be there yet, unless it may be replaced.
     internals : bool
         Of ``rerun`` only: with all that is inside the layers.
+    replace : bool
+        Whether a file that is there already is replaced, or a folder that an export has made.
     """
     write = WRITERS[form]
     try:
@@ -70,7 +73,7 @@ def export(form: str, run: Path, out: Path, *, internals: bool = False) -> int:
             if form != "rerun":
                 raise ConfigError("--internals goes with the format rerun only; leave it out.")
             write = partial(_write_rerun, internals=True)
-        _write(write, form in _FILES, run, out)
+        _write(write, form in _FILES, run, out, replace=replace)
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2
@@ -81,10 +84,9 @@ def export(form: str, run: Path, out: Path, *, internals: bool = False) -> int:
     return 0
 
 
-def _write(write: _Writer, is_file: bool, run: Path, out: Path) -> None:
-    """Write under a temporary name, so that ``out`` is complete or missing."""
-    if out.exists():
-        raise ConfigError(f"{out} is there already; name another place to write to.")
+def _write(write: _Writer, is_file: bool, run: Path, out: Path, *, replace: bool) -> None:
+    """Write under a temporary name, so that ``out`` is complete, as it was, or missing."""
+    _refuse_if_there(is_file, run, out, replace=replace)
     draft = temporary_path(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     if draft.is_dir():  # of an export that was killed
@@ -94,8 +96,28 @@ def _write(write: _Writer, is_file: bool, run: Path, out: Path) -> None:
     try:
         for remark in write(run, draft) or ():
             print(remark, file=sys.stderr)
-        draft.rename(out)
+        _refuse_if_there(is_file, run, out, replace=replace)  # by now, as it may have taken hours
+        if not is_file:
+            mark_made(draft)
+            if out.exists():
+                shutil.rmtree(out)
+        draft.replace(out)
     finally:
         if draft.is_dir():
             shutil.rmtree(draft)
         draft.unlink(missing_ok=True)
+
+
+def _refuse_if_there(is_file: bool, run: Path, out: Path, *, replace: bool) -> None:
+    """Raise ConfigError if anything is in the way that is not, or must not be, replaced."""
+    if not out.exists():
+        return
+    if out.is_dir() if is_file else not is_made(out, run):
+        raise ConfigError(f"{out} was not made by an export to this format, and stays; name another place.")
+    if is_file and out.resolve().is_relative_to(run.resolve()):
+        raise ConfigError(
+            f"{out} is there already, in the run's own folder, in which no file is replaced; name a place "
+            "outside of it."
+        )
+    if not replace:
+        raise ConfigError(f"{out} is there already; name another place to write to, or add --replace.")

@@ -13,13 +13,13 @@ from orchestrator.program import program_name
 __all__ = ["main"]
 
 _PRIVACY = """\
-The sound is copied. Whatever is blurred, pixelated or cut out is what the run has found: what it missed in a
-frame is seen there, and people are known by more than their faces. That is no promise of privacy."""
+The sound is copied. Whatever is blurred, pixelated or cut out is what the run has found: what it missed is
+seen, and people are known by more than their faces. That is no promise of privacy."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status: 0 made, 1 a disk error, 2 impossible."""
-    given = _parser().parse_args(argv)
+    given = _parser().parse_intermixed_args(argv)  # OUT may follow options
     from orchestrator.make.command import make_asked  # the help needs nothing that is installed
 
     return make_asked(given)
@@ -61,9 +61,20 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--to", dest="end", metavar="WHEN", help="the moment before which it ends")
     parser.add_argument(
-        "--no-labels", action="store_true", help="show nothing of objects in clips, gif, sheet and overlay"
+        "--labels",
+        action=argparse.BooleanOptionalAction,
+        help="draw the objects, or nothing: in overlay, gif and sheet they are drawn by default, in clips "
+        "they are not",
     )
-    parser.add_argument("--no-ids", action="store_true", help="show objects there without their ids")
+    parser.add_argument(
+        "--ids", action=argparse.BooleanOptionalAction, help="draw them there with their ids, or without"
+    )
+    parser.add_argument(
+        "--over",
+        metavar="FILE",
+        help="cutout: an ordinary video of the objects over this one, which fills the picture and is "
+        "repeated if it is shorter",
+    )
     parser.add_argument(
         "--each", action="store_true", help="cutout: a video or a folder of pictures an object"
     )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from functools import partial
 
 from mlbs_actors.errors import ConfigError
 from orchestrator.make.choice import parse_only
+from orchestrator.make.ground import ground_of
 from orchestrator.make.kinds import KINDS
 from orchestrator.make.making import Request, make
 from orchestrator.make.moments import Span, parse_moment
@@ -41,18 +43,27 @@ def _request(given: argparse.Namespace, kind: str) -> Request:
         raise ConfigError("--each goes with cutout only; leave it out.")
     if given.apart and kind != "clips":
         raise ConfigError("--apart goes with clips only; leave it out.")
+    if given.over is not None and (kind != "cutout" or given.each):
+        raise ConfigError("--over goes with cutout only, without --each; leave it out.")
+    if given.labels is False and given.ids:
+        raise ConfigError("--no-labels draws nothing, and --ids ids; leave one of them out.")
     begin = parse_moment(given.begin) if given.begin else Span().begin
-    drawing = None if given.no_labels else Manner.usual(ids=not given.no_ids).drawing
+    manner = replace(
+        Manner.asked(kind, labels=given.labels, ids=given.ids),
+        each=given.each,
+        apart=given.apart,
+        over=None if given.over is None else ground_of(given.over),
+    )
     return Request(
         kind=kind,
         run=given.run,
-        manner=Manner(drawing, each=given.each, apart=given.apart),
+        manner=manner,
         out=given.out,
         suffix=None if given.format is None else f".{given.format.lstrip('.')}",
         stream=given.stream,
         edits=given.edits,
         choice=parse_only(given.only, given.least_score),
-        only=(given.only or "").replace(",", "-"),
+        variant="-".join([*(given.only.split(",") if given.only else ()), *manner.variant(kind)]),
         span=Span(begin, parse_moment(given.end) if given.end else None),
         replace=given.replace,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import cv2
@@ -10,9 +10,11 @@ import numpy as np
 
 from mlbs_actors.messages import Array
 from orchestrator.make.footage import Footage, Shot
+from orchestrator.make.ground import Ground
 from orchestrator.make.video_file import VideoFile
+from orchestrator.sources.address import SourceAddress
 
-__all__ = ["cut_out", "write_cutout"]
+__all__ = ["cut_out", "write_cutout", "write_over"]
 
 #: How far around objects a video has the colours of its source, px: its codec mixes neighbours, and black
 #: ones would darken outlines.
@@ -60,6 +62,19 @@ def write_cutout(footage: Footage, path: Path, suffix: str, *, each: bool) -> li
         Remarks.
     """
     return _write_each(footage, path, suffix) if each else _write_all(footage, path, suffix)
+
+
+def write_over(footage: Footage, path: Path, ground: SourceAddress) -> list[str]:
+    """Lay the chosen objects over another video, which begins with the footage; return remarks."""
+    begin: float | None = None
+    with closing(Ground(ground)) as below, VideoFile(path, footage.sound) as video:
+        for shot in footage.shots(path.name):
+            chosen, pts = shot.masks()[0], shot.frame.pts
+            begin = pts if begin is None else begin
+            picture = below.at(pts - begin, chosen.shape, shot.frame.pixel_aspect)
+            cv2.copyTo(shot.picture, chosen.view(np.uint8), picture)
+            video.add(picture, pts, shot.frame.pixel_aspect)
+    return video.remarks
 
 
 def _write_all(footage: Footage, path: Path, suffix: str) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from mlbs_actors.messages import Array
 from orchestrator.make.footage import Shot
 
-__all__ = ["EFFECTS", "blurred", "highlighted", "pixelated"]
+__all__ = ["COVERS", "blurred", "highlighted", "pixelated"]
 
 #: As shares of the picture's shorter side: the margin, the blur's standard deviation, a block of a mosaic.
 _MARGIN, _BLUR, _BLOCK = 1 / 120, 1 / 32, 1 / 32
@@ -26,9 +26,9 @@ _COARSER = 4  # times, in which a wide blur is computed
 _DIMMED = 0.6
 
 
-def blurred(shot: Shot) -> Array:
-    """Blur the chosen objects; returns (H, W, 3) uint8."""
-    picture, area = shot.picture, _area(shot)
+def blurred(shot: Shot, covered: Array) -> Array:
+    """Blur what is covered, (H, W) bool; returns (H, W, 3) uint8."""
+    picture, area = shot.picture, _area(covered, shot.masks()[1])
     height, width = picture.shape[:2]
     # A blur that wide looks the same from a quarter of the picture, in a tenth of the time.
     coarse = cv2.resize(
@@ -38,16 +38,16 @@ def blurred(shot: Shot) -> Array:
     return _where(area, np.asarray(cv2.resize(smooth, (width, height))), picture)
 
 
-def pixelated(shot: Shot) -> Array:
-    """Replace the blocks that a chosen object touches by their mean colours; returns (H, W, 3) uint8."""
-    picture, (chosen, others) = shot.picture, shot.masks()
-    height, width = chosen.shape
+def pixelated(shot: Shot, covered: Array) -> Array:
+    """Replace the blocks that hold anything covered, (H, W) bool, by their mean colours."""
+    picture, others = shot.picture, shot.masks()[1]
+    height, width = covered.shape
     block = max(_LEAST_BLOCK, round(_BLOCK * min(height, width)))
     below, right = -height % block, -width % block
     padded = cv2.copyMakeBorder(picture, 0, below, 0, right, cv2.BORDER_REPLICATE)
     blocks = padded.shape[1] // block, padded.shape[0] // block
     touched = cv2.copyMakeBorder(
-        chosen.view(np.uint8) * 255, 0, below, 0, right, cv2.BORDER_CONSTANT, value=0
+        covered.view(np.uint8) * 255, 0, below, 0, right, cv2.BORDER_CONSTANT, value=0
     )
     touched = np.asarray(cv2.resize(touched.astype(np.float32), blocks, interpolation=cv2.INTER_AREA) > 0)
     means = cv2.resize(padded, blocks, interpolation=cv2.INTER_AREA)
@@ -63,21 +63,16 @@ def highlighted(shot: Shot) -> Array:
     return _where(chosen, shot.picture, np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)))
 
 
-#: By the names of their kinds.
-EFFECTS: dict[str, Callable[[Shot], Array]] = {
-    "blur": blurred,
-    "pixelate": pixelated,
-    "highlight": highlighted,
-}
+#: By the names of their kinds, what makes somebody unrecognisable; given where that is to be.
+COVERS: dict[str, Callable[[Shot, Array], Array]] = {"blur": blurred, "pixelate": pixelated}
 
 
-def _area(shot: Shot) -> Array:
-    """Return the chosen objects with their margins, without the pixels of others, (H, W) bool."""
-    chosen, others = shot.masks()
-    margin = max(_LEAST_MARGIN, round(_MARGIN * min(chosen.shape)))
+def _area(covered: Array, others: Array) -> Array:
+    """Return what is covered with its margin, without the pixels of others, (H, W) bool."""
+    margin = max(_LEAST_MARGIN, round(_MARGIN * min(covered.shape)))
     # With a border, as what lies beyond it would be nearer to the erosion than to the dilation.
     around = 3 * margin
-    wide = cv2.copyMakeBorder(chosen.view(np.uint8), around, around, around, around, cv2.BORDER_REPLICATE)
+    wide = cv2.copyMakeBorder(covered.view(np.uint8), around, around, around, around, cv2.BORDER_REPLICATE)
     closed = cv2.erode(cv2.dilate(wide, _disc(3 * margin)), _disc(2 * margin))
     return closed[around:-around, around:-around].view(np.bool_) & ~others
 

@@ -7,9 +7,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import track
-
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.record.edits import Edits
@@ -18,6 +15,7 @@ from mlbs_actors.wording import count_of
 from orchestrator.export.replay import with_pictures
 from orchestrator.make.choice import Choice, Chosen
 from orchestrator.make.moments import Span, clock
+from orchestrator.make.watching import Watch
 from orchestrator.pictures.content import Drawing
 from orchestrator.sinks.labelled_picture import LabelledPicture
 from orchestrator.sources.address import SourceAddress, parse_address
@@ -79,6 +77,8 @@ class Footage:
         Recorded frames in the span.
     missing : int
         How many of these had no picture, as far as they were last read.
+    watch : Watch
+        Shows how far they are read; by default only on a terminal.
     """
 
     stream: Path
@@ -89,6 +89,7 @@ class Footage:
     chosen: Chosen
     count: int
     missing: int = field(default=0, init=False)
+    watch: Watch = field(default_factory=lambda: Watch(lambda _: None), init=False)
 
     @classmethod
     def of(
@@ -144,16 +145,15 @@ class Footage:
         Parameters
         ----------
         doing : str, optional
-            What is shown beside the progress, on standard error; None for no progress.
+            What is shown beside the progress; None for no progress.
 
         Raises
         ------
         ConfigError
             After the last frame, if none had a picture.
         """
-        missing, console = 0, Console(stderr=True)
-        silent = doing is None or not console.is_terminal
-        pairs = track(self._pairs(), doing or "", self.count, console=console, transient=True, disable=silent)
+        missing = 0
+        pairs = self._pairs() if doing is None else self.watch.shown(self._pairs(), doing, self.count)
         try:
             for whole, picture in pairs:
                 if picture is None or picture.shape[:2] != (whole.height, whole.width):

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["KINDS", "Kind"]
+__all__ = ["KINDS", "VIDEOS", "Kind"]
 
-_VIDEOS = (".mp4", ".mkv")
+#: Endings of videos without opacity.
+VIDEOS = (".mp4", ".mkv")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,17 +31,17 @@ class Kind:
 
 #: By name.
 KINDS = {
-    "overlay": Kind("the objects outlined and tinted", _VIDEOS),
-    "remove": Kind("what was behind the objects, from frames that show it, and where it is made up", _VIDEOS),
-    "blur": Kind("the objects blurred (no promise that nobody can be recognised)", _VIDEOS),
-    "pixelate": Kind("the objects as a mosaic (no promise either)", _VIDEOS),
-    "highlight": Kind("all grey but the objects", _VIDEOS),
+    "overlay": Kind("the objects outlined and tinted", VIDEOS),
+    "remove": Kind("what was behind the objects, from frames that show it, and where it is made up", VIDEOS),
+    "blur": Kind("the objects blurred (no promise that nobody can be recognised)", VIDEOS),
+    "pixelate": Kind("the objects as a mosaic (no promise either)", VIDEOS),
+    "highlight": Kind("all grey but the objects", VIDEOS),
     "cutout": Kind(
         "the objects alone: a video with opacity as .mov (ProRes 4444) or .webm (VP9), or with .png a folder "
         "of pictures",
         (".mov", ".webm", ".png"),
     ),
-    "clips": Kind("the parts in which something moves, and a table of their times", _VIDEOS),
+    "clips": Kind("the parts in which something moves, and a table of their times", VIDEOS),
     "gif": Kind("an animation of at most 20 s, 480 px and 8 MB", (".gif",)),
     "sheet": Kind("20 frames on one picture", (".jpg", ".png")),
 }

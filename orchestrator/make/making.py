@@ -13,11 +13,12 @@ import av.error
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.record.recorded_stream import description_of, edits_of, streams_of
+from orchestrator.export.made_folder import is_made, mark_made
 from orchestrator.make.choice import EVERYTHING, Choice
 from orchestrator.make.footage import Footage
-from orchestrator.make.kinds import KINDS
 from orchestrator.make.moments import ALL, Span
-from orchestrator.make.writing import Manner, files_of, write
+from orchestrator.make.watching import Watch
+from orchestrator.make.writing import Manner, files_of, suffixes_of, write
 from orchestrator.pictures.privacy import is_private
 from orchestrator.sinks.record import recorded_frames
 from orchestrator.sources.address import parse_address
@@ -27,9 +28,6 @@ __all__ = ["MADE", "Place", "Request", "make"]
 
 #: Folder of what is made, in that of the stream.
 MADE = "made"
-
-#: File in each folder that is made elsewhere; without it none is removed there to make room for a new one.
-_MARK = ".mlbs-actors-made"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +64,8 @@ class Request:
     edits : Path, optional
         Corrections of ids in place of those in the stream's folder.
     choice : Choice
-    only : str
-        How it was asked for, for the names of files.
+    variant : str
+        What is special about it, for the name of its file: which objects, or that ids are not drawn.
     span : Span
     manner : Manner
     replace : bool
@@ -82,7 +80,7 @@ class Request:
     stream: str | None = None
     edits: Path | None = None
     choice: Choice = EVERYTHING
-    only: str = ""
+    variant: str = ""
     span: Span = ALL
     replace: bool = False
 
@@ -121,7 +119,7 @@ def make(requests: Sequence[Request], say: Callable[[str], None]) -> Iterator[Pa
     requests : sequence of Request
         Of one run.
     say : callable
-        Is told what is missing, and why.
+        Is told what is missing, and why; and how far it is, if standard error is no terminal.
 
     Yields
     ------
@@ -156,6 +154,7 @@ def _made_of_streams(task: _Task, say: Callable[[str], None]) -> Iterator[Path]:
         try:
             edits = edits_of(folder, request.edits)
             footage = Footage.of(folder, source, request.choice, request.span, edits, private=private)
+            footage.watch = Watch(say)
             path, remarks = _made(request, footage, task.places[name])
         except ConfigError as error:
             faults.append(str(error))
@@ -195,14 +194,15 @@ def _is_camera(source: str) -> bool:
 
 
 def _place(request: Request, name: str, *, alone: bool) -> Place:
-    suffixes = KINDS[request.kind].suffixes
+    suffixes = suffixes_of(request.kind, request.manner)
     out, suffix = request.out, request.suffix or suffixes[0]
+    stem = f"{request.kind}-{request.variant}" if request.variant else request.kind
     if suffix not in suffixes:
         raise ConfigError(f"{request.kind} is written as {' or '.join(suffixes)}, not as {suffix}.")
     if out is None:
-        return Place(request.run / name / MADE, f"{request.kind}{request.only and '-'}{request.only}", suffix)
+        return Place(request.run / name / MADE, stem, suffix)
     if not out.suffix or out.is_dir():
-        return Place(out, f"{name}-{request.kind}", suffix)
+        return Place(out, f"{name}-{stem}", suffix)
     if not alone:
         raise ConfigError(
             f"{out} is one file, but the run has several streams; name a folder, or one with --stream."
@@ -248,10 +248,9 @@ def _refuse_if_there(request: Request, place: Place) -> None:
 
 
 def _is_made(request: Request, folder: Path) -> bool:
-    """Whether this command has made a folder, or nothing is in it, so that it may be removed."""
-    if not folder.is_dir() or folder.is_symlink() or request.run.resolve().is_relative_to(folder.resolve()):
-        return False
-    return request.out is None or (folder / _MARK).exists() or not any(folder.iterdir())
+    """Whether this command has made a folder; of those in :data:`MADE` it has made all."""
+    ours = request.out is None and folder.is_dir() and not folder.is_symlink()
+    return ours or is_made(folder, request.run)
 
 
 def _made(request: Request, footage: Footage, place: Place) -> tuple[Path, list[str]]:
@@ -268,7 +267,7 @@ def _made(request: Request, footage: Footage, place: Place) -> tuple[Path, list[
             made = Path(draft) / target.name
             if made.is_dir():
                 if request.out is not None:
-                    (made / _MARK).touch()
+                    mark_made(made)
                 if target.exists():
                     shutil.rmtree(target)
             made.replace(target)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 
 import cv2
@@ -59,7 +59,11 @@ def write_removed(footage: Footage, path: Path, matte: Path) -> list[str]:
             f"{path.name} cannot be made; choose a part with --from and --to. {error}"
         ) from None
     share = 100 * made_up / max(removed, 1)
-    return [*video.remarks, f"{path.name}: {share:.1f} % of what was removed is made up, see {matte.name}."]
+    return [
+        *video.remarks,
+        f"{path.name}: of the area that was filled in, {share:.1f} % is made up, as no frame shows what is "
+        f"there (white in {matte.name}). What the masks miss of an object may still be seen.",
+    ]
 
 
 class _Removal:
@@ -73,15 +77,20 @@ class _Removal:
     def complete(self, doing: str) -> None:
         """Complete the masks of all frames."""
 
+        looks = count(1)
+
         def frames() -> Iterator[KnownObjects]:
             around = masks_around(self._footage.whole(), COMPLETED_WIDTH)
-            for shot in self._footage.shots(None):
+            # The first two are read beside the others, the third alone and to its end before any mask comes.
+            for shot in self._footage.shots(f"{doing}, first look" if next(looks) == 3 else None):
                 chosen, others = shot.masks()
                 yield KnownObjects(shot.picture, chosen | others, _of(shot, around))
 
-        shots = self._footage.shots(f"{doing}, first look")
+        masks = completed_masks(frames)
+        first = next(masks)  # after the first look, as only one progress can be shown at once
+        shots = self._footage.shots(f"{doing}, second look")
         around = masks_around(self._footage.recorded(), COMPLETED_WIDTH)
-        for shot, mask in zip(shots, completed_masks(frames), strict=True):
+        for shot, mask in zip(shots, chain([first], masks), strict=True):
             self._completed[shot.frame.index] = _written(mask)
             self._chosen[shot.frame.index] = _written(_of(shot, around))
 
@@ -123,12 +132,12 @@ def _plates(footage: Footage, removal: _Removal, doing: str) -> Iterator[tuple[S
 
     def frames() -> Iterator[CoveredFrame]:
         nonlocal looked
-        words, looked = None if looked else f"{doing}, second look", True
+        words, looked = None if looked else f"{doing}, third look", True
         for shot in footage.shots(words):
             yield shot.picture, removal.covered(shot)
 
     plates = fill_background(frames)
-    first = next(plates)  # after the second look, as only one progress can be shown at once
+    first = next(plates)  # after the third look, as only one progress can be shown at once
     yield from zip(footage.shots(doing), chain([first], plates), strict=True)
 
 

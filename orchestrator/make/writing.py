@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from mlbs_actors.errors import ConfigError
 from mlbs_actors.messages import Array
 from orchestrator.make.clips import write_clips
-from orchestrator.make.cutout import write_cutout
-from orchestrator.make.effects import EFFECTS
+from orchestrator.make.cutout import write_cutout, write_over
+from orchestrator.make.effects import COVERS, highlighted
 from orchestrator.make.footage import Footage, Shot
 from orchestrator.make.gif import write_gif
+from orchestrator.make.kinds import KINDS, VIDEOS
 from orchestrator.make.remove import write_removed
 from orchestrator.make.sheet import write_sheet
-from orchestrator.make.videos import write_video
+from orchestrator.make.videos import write_covered, write_video
 from orchestrator.pictures.content import Drawing
+from orchestrator.sources.address import SourceAddress
 
-__all__ = ["Manner", "files_of", "write"]
+__all__ = ["Manner", "files_of", "suffixes_of", "write"]
+
+
+#: Kinds over whose pictures objects can be drawn.
+_DRAWN = ("overlay", "clips", "gif", "sheet")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,20 +38,38 @@ class Manner:
         Whether every object is cut out by itself.
     apart : bool
         Whether every clip is a video of its own.
+    over : SourceAddress, optional
+        The video that a cut-out is laid over.
     """
 
     drawing: Drawing | None
     each: bool = False
     apart: bool = False
+    over: SourceAddress | None = None
 
     @classmethod
-    def usual(cls, *, ids: bool = True) -> Manner:
-        """Draw objects as overlays do, and nothing else."""
-        return cls(Drawing(ids=ids, zones=False, frame=False))
+    def asked(cls, kind: str, *, labels: bool | None = None, ids: bool | None = None) -> Manner:
+        """Draw objects as overlays do, and nothing else; None for what is usual for a kind."""
+        if labels is None:
+            labels = kind != "clips" or ids is True  # clips are watched for themselves
+        return cls(Drawing(ids=ids is not False, zones=False, frame=False) if labels else None)
+
+    def variant(self, kind: str) -> list[str]:
+        """Return how it differs from what is usual for a kind, in words for the name of a file."""
+        if kind not in _DRAWN:
+            return [] if self.over is None else ["over"]
+        labels = self.drawing is not None
+        words = [] if labels is (kind != "clips") else ["labels" if labels else "no-labels"]
+        return words + (["no-ids"] if self.drawing is not None and not self.drawing.ids else [])
 
     def shown(self, shot: Shot) -> Array:
         """Return what a frame looks like."""
         return shot.picture if self.drawing is None else shot.drawn(self.drawing)
+
+
+def suffixes_of(kind: str, manner: Manner) -> tuple[str, ...]:
+    """Return the endings that its file may have, the usual one first."""
+    return KINDS[kind].suffixes if manner.over is None else VIDEOS
 
 
 def files_of(kind: str, stem: str, suffix: str, manner: Manner) -> list[str]:
@@ -89,6 +112,8 @@ def write(kind: str, footage: Footage, folder: Path, stem: str, suffix: str, man
     if not footage.chosen.seen and kind not in ("overlay", "gif", "sheet"):
         raise ConfigError(f"There is no such object in {footage.name!r}, so no {kind} is made.")
     match kind:
+        case "cutout" if manner.over is not None:
+            remarks = write_over(footage, path, manner.over)
         case "cutout":
             remarks = write_cutout(footage, path, suffix, each=manner.each)
         case "remove":
@@ -102,7 +127,8 @@ def write(kind: str, footage: Footage, folder: Path, stem: str, suffix: str, man
             remarks = []
         case "overlay":
             remarks = write_video(footage, path, manner.shown)
+        case "highlight":
+            remarks = write_video(footage, path, highlighted)
         case _:
-            shown: Callable[[Shot], Array] = EFFECTS[kind]
-            remarks = write_video(footage, path, shown)
+            remarks = write_covered(footage, path, COVERS[kind])
     return remarks + footage.remarks()

@@ -31,14 +31,13 @@ def make_of_all(
     from orchestrator.make.writing import Manner
 
     ended = {state.name for state in states if state.committed and has_ended(state)}
-    manner = Manner.usual()
     for spec in job.specs:
         if spec.live or spec.name not in ended:
             continue
         for kind in kinds:
             if spec.name not in due and any((folder.stream(spec.name) / MADE).glob(f"{kind}.*")):
                 continue
-            request = Request(kind, folder.path, manner, stream=spec.name, replace=True)
+            request = Request(kind, folder.path, Manner.asked(kind), stream=spec.name, replace=True)
             try:
                 say(f"Making {kind} of {spec.name}.")
                 for path in make([request], say):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import json
+import shutil
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -132,7 +133,7 @@ def test_csv_is_one_table_of_every_object_in_every_frame_with_its_time(run: Path
 
 def test_mot_has_a_box_a_line_counted_from_one(run: Path, tmp_path: Path) -> None:
     out = export("mot", run, tmp_path / "mot")
-    assert sorted(path.name for path in out.iterdir()) == ["gate.txt", "gone.txt", "yard.txt"]
+    assert sorted(path.name for path in out.glob("*.txt")) == ["gate.txt", "gone.txt", "yard.txt"]
     lines = np.loadtxt(out / "yard.txt", delimiter=",")
     assert lines.shape == (39 + 34, 10)
     assert lines[:3].tolist() == [
@@ -148,7 +149,7 @@ def test_mot_has_a_box_a_line_counted_from_one(run: Path, tmp_path: Path) -> Non
 
 def test_lines_of_mots_are_read_by_pycocotools_and_give_back_every_mask(run: Path, tmp_path: Path) -> None:
     out = export("mots", run, tmp_path / "mots")
-    assert sorted(path.name for path in out.iterdir()) == ["gate.txt", "gone.txt", "yard.txt"]
+    assert sorted(path.name for path in out.glob("*.txt")) == ["gate.txt", "gone.txt", "yard.txt"]
     found: dict[str, Array] = {}
     for line in (out / "yard.txt").read_text().splitlines():
         index, number, kind, height, width, code = line.split(" ")
@@ -275,7 +276,40 @@ def test_an_id_that_a_format_has_no_place_for_is_refused_and_nothing_is_left(
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
-def test_what_is_there_is_never_replaced_and_a_folder_without_run_is_refused(
+@pytest.mark.parametrize("name", ["csv", "mot"])
+def test_an_export_is_replaced_only_if_that_is_asked_for(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    out = export(name, run, tmp_path / "out")
+    made = out if name == "csv" else out / "yard.txt"
+    whole = made.read_bytes()
+    made.write_bytes(b"")
+    assert main([name, str(run), str(out)]) == 2
+    assert "add --replace" in capsys.readouterr().err
+    assert made.read_bytes() == b""
+    assert main([name, str(run), "--replace", str(out)]) == 0
+    assert made.read_bytes() == whole
+
+
+def test_what_no_export_has_made_is_never_replaced(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "notes.txt").write_text("of a user")
+    within = tmp_path / "made/run"
+    export("mot", run, within.parent)
+    shutil.copytree(run, within)
+    for form, out in (("csv", mine), ("mot", mine), ("mot", mine / "notes.txt"), ("mot", within.parent)):
+        assert main([form, str(within), str(out), "--replace"]) == 2
+        assert "stays" in capsys.readouterr().err
+    assert main(["csv", str(within), str(within / "run.json"), "--replace"]) == 2
+    assert "outside of it" in capsys.readouterr().err
+    assert (mine / "notes.txt").read_text() == "of a user"
+    assert (within / "run.json").read_bytes() == (run / "run.json").read_bytes()
+
+
+def test_what_is_there_stays_and_a_folder_without_run_is_refused(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "out").write_text("mine")

@@ -61,7 +61,7 @@ def test_an_overlay_drawn_anew_is_the_one_of_the_run(
 ) -> None:
     record(tmp_path / "run", {"yard": SCENE, "gate": "rtsp://bob:hunter2@cam/x"})
     assert main(["overlay", str(tmp_path / "run"), str(tmp_path / "out")]) == 0
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["yard.mp4"]
+    assert [path.name for path in (tmp_path / "out").glob("*.mp4")] == ["yard.mp4"]
     times, drawn = pictures(tmp_path / "out/yard.mp4")
     times_of_run, drawn_in_run = pictures(tmp_path / "run/yard/overlay.mp4")
     assert times == times_of_run

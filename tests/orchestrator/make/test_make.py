@@ -27,10 +27,13 @@ from mlbs_actors.messages import Array, ObjectState, Segmentation
 from mlbs_actors.record.recorded_stream import edits_of
 from orchestrator.make.__main__ import main
 from orchestrator.make.choice import parse_only
-from orchestrator.make.effects import EFFECTS
+from orchestrator.make.effects import COVERS, highlighted
 from orchestrator.make.footage import Footage, Shot
+from orchestrator.make.ground import Ground, ground_of
 from orchestrator.make.kinds import KINDS
+from orchestrator.make.missed import covered_shots
 from orchestrator.make.moments import ALL
+from orchestrator.make.watching import Watch
 from orchestrator.run.job import Job
 from orchestrator.run.makings import make_of_all
 from orchestrator.run.run_folder import RunFolder
@@ -95,15 +98,19 @@ def shots(run: Path, only: str | None) -> list[Shot]:
     return list(footage.shots("test"))
 
 
-@pytest.mark.parametrize("kind", sorted(EFFECTS))
-def test_an_effect_changes_what_is_chosen_and_nothing_that_belongs_to_others(run: Path, kind: str) -> None:
+def test_all_is_grey_but_what_is_chosen(run: Path) -> None:
     for shot in shots(run, "3")[::10]:
         labels = shot.whole.labels()
-        changed = (EFFECTS[kind](shot) != shot.picture).any(axis=2)
-        if kind == "highlight":  # there the others are changed
-            assert not changed[labels == 3].any()
-            assert changed[labels != 3].mean() > 0.99
-            continue
+        changed = (highlighted(shot) != shot.picture).any(axis=2)
+        assert not changed[labels == 3].any()
+        assert changed[labels != 3].mean() > 0.99
+
+
+@pytest.mark.parametrize("kind", sorted(COVERS))
+def test_what_is_covered_changes_and_nothing_that_belongs_to_others(run: Path, kind: str) -> None:
+    for shot in shots(run, "3")[::10]:
+        labels = shot.whole.labels()
+        changed = (COVERS[kind](shot, labels == 3) != shot.picture).any(axis=2)
         assert changed[labels == 3].mean() > 0.95
         assert not changed[labels == 5].any()
         near = cv2.dilate((labels == 3).view(np.uint8), np.ones((9, 9), np.uint8)).view(np.bool_)
@@ -112,7 +119,7 @@ def test_an_effect_changes_what_is_chosen_and_nothing_that_belongs_to_others(run
 
 def test_pixels_are_covered_in_blocks_of_one_colour(run: Path) -> None:
     shot = shots(run, "3")[8]  # whose object begins with a block
-    made_of = EFFECTS["pixelate"](shot)
+    made_of = COVERS["pixelate"](shot, shot.masks()[0])
     mean = shot.picture[8:12, 8:12].reshape(-1, 3).mean(axis=0)
     np.testing.assert_allclose(made_of[8:12, 8:12].reshape(-1, 3), np.broadcast_to(mean, (16, 3)), atol=0.6)
 
@@ -158,6 +165,59 @@ def test_the_opacity_of_a_cut_out_video_is_the_mask(run: Path, suffix: str) -> N
     truth = np.stack([two_objects(index).labels > 0 for index in range(FRAMES)])
     np.testing.assert_array_equal(alpha > 0.5, truth)
     assert np.abs(alpha - truth).max() < (0.02 if suffix == ".mov" else 0.5)
+
+
+def write_ground(path: Path, levels: Iterable[int], rate: int) -> Path:
+    """A wide video of grey frames, which are black at both sides."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=rate)
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height, stream.pix_fmt = 320, 64, "yuv420p"
+        for level in levels:
+            frame = np.zeros((64, 320, 3), np.uint8)
+            frame[:, 80:240] = level
+            container.mux(stream.encode(VideoFrame.from_ndarray(frame, format="bgr24")))
+        container.mux(stream.encode(None))
+    return path
+
+
+def test_a_cut_out_lies_over_another_video_that_keeps_its_speed_covers_all_and_begins_again(
+    sounding: Path,
+) -> None:
+    levels = [60, 100, 140, 180, 220]
+    ground = write_ground(sounding.parent / "beach.mp4", levels, 10)
+    made(sounding, "cutout", "--only", "3", "--over", str(ground))
+    path = sounding / "a/made/cutout-3-over.mp4"
+    frames, source = frames_of(path), frames_of(sounding.parent / "a.mp4")
+    assert len(frames) == 60
+    assert (frames[0].width, frames[0].height) == (WIDTH, HEIGHT)
+    for index in range(0, 60, 7):
+        shown, labels = frames[index].to_ndarray(format="gray"), two_objects(index).labels
+        level = levels[int(index / float(FRAME_RATE) * 10 + 1e-3) % 5]
+        near = cv2.dilate((labels == 3).view(np.uint8), np.ones((9, 9), np.uint8)).view(np.bool_)
+        far = shown[~near].astype(int)
+        assert abs(np.median(far) - level) < 12
+        assert np.ptp(far) < 40  # nothing of its black sides is seen
+        inside = cv2.erode((labels == 3).view(np.uint8), np.ones((5, 5), np.uint8)).view(np.bool_)
+        there = source[index].to_ndarray(format="gray")
+        assert abs(shown[inside].mean() - there[inside].mean()) < 20
+    begin, samples = heard(path)
+    assert begin == 0
+    np.testing.assert_array_equal(samples, heard(sounding.parent / "a.mp4")[1][: len(samples)])
+
+
+def test_a_ground_keeps_its_proportions_and_its_middle(tmp_path: Path) -> None:
+    picture_of = np.zeros((40, 120, 3), np.uint8)
+    picture_of[:, :40, 0], picture_of[:, 40:80, 1], picture_of[:, 80:, 2] = 255, 255, 255
+    (tmp_path / "still").mkdir()
+    cv2.imwrite(str(tmp_path / "still/beach.png"), picture_of)
+    ground = Ground(ground_of(str(tmp_path / "still")))
+    for seconds in (0.0, 100.0):
+        np.testing.assert_array_equal(ground.at(seconds, (80, 80), 1.0), np.full((80, 80, 3), (0, 255, 0)))
+    wide = ground.at(100.0, (80, 80), 2.0)  # pixels twice as wide: half a third more on both sides
+    assert wide[40, [5, 40, 75]].tolist() == [[255, 0, 0], [0, 255, 0], [0, 0, 255]]
+    upright = ground.at(100.0, (80, 20), 1.0)
+    assert (upright == (0, 255, 0)).all()
 
 
 def test_each_object_is_a_video_of_its_own_from_its_first_frame_to_its_last(tmp_path: Path) -> None:
@@ -213,11 +273,13 @@ def test_the_sound_of_a_private_run_is_left_out_and_its_pictures_hide_what_moves
     # What is dropped by hand is hidden all the same.
     (sounding / "a/edits.csv").write_text("drop,5\n")
     made(sounding, "overlay", "--no-labels")
-    with av.open(str(sounding / "a/made/overlay.mp4")) as container:
+    with av.open(str(sounding / "a/made/overlay-no-labels.mp4")) as container:
         assert not container.streams.audio
 
 
-def test_a_removed_object_shows_the_ground_behind_it_and_the_others_stay(tmp_path: Path) -> None:
+def test_a_removed_object_shows_the_ground_behind_it_and_the_others_stay(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "yard").mkdir()
     grey = np.random.default_rng(3).integers(80, 170, (HEIGHT // 4, WIDTH // 4), np.uint8)
     grey = np.asarray(cv2.resize(grey, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC))
@@ -231,6 +293,7 @@ def test_a_removed_object_shows_the_ground_behind_it_and_the_others_stay(tmp_pat
         tmp_path / "run", {"yard": tmp_path / "yard"}, lambda index: segmentation(index, 3, 5)
     )
     folder = made(run, "remove", "--only", "3")
+    assert "What the masks miss of an object may still be seen." in capsys.readouterr().err
     assert sorted(path.name for path in folder.iterdir()) == ["remove-3-made-up.mp4", "remove-3.mp4"]
     frames = frames_of(folder / "remove-3.mp4")
     assert len(frames) == len(frames_of(folder / "remove-3-made-up.mp4")) == 24
@@ -251,7 +314,7 @@ def test_parts_in_which_something_moves_are_joined_with_their_times_and_sound(so
 
     write_sounding_video(sounding.parent / "a.mp4", "aac", frames=200, size=(WIDTH, HEIGHT))
     run = write_run_over(sounding, {"a": sounding.parent / "a.mp4"}, found)
-    made(run, "clips", "--no-labels")
+    made(run, "clips")
     path = run / "a/made/clips.mp4"
     rows = list(csv.DictReader((run / "a/made/clips.csv").read_text().splitlines()))
     assert [(row["first_frame"], row["last_frame"]) for row in rows] == [("0", "33"), ("126", "163")]
@@ -292,6 +355,91 @@ def test_objects_below_a_score_are_left_as_they_are(run: Path) -> None:
     np.testing.assert_array_equal(cut[..., 3] > 0, two_objects(0).labels == 3)
 
 
+def test_an_object_is_covered_before_it_is_found_and_while_it_is_lost(tmp_path: Path) -> None:
+    found_in = {*range(15, 22), *range(25, 30)}
+    source = write_pictures(tmp_path / "yard", 30)
+    run = write_run_over(
+        tmp_path / "run",
+        {"yard": source},
+        lambda index: segmentation(index, *((3, 5) if index in found_in else (3,))),
+    )
+    stream = run / "yard"
+    footage = Footage.of(stream, str(source), parse_only("5"), ALL, edits_of(stream), private=False)
+    for shot, covered in covered_shots(footage, "test"):
+        index, labels = shot.frame.index, segmentation(shot.frame.index, 3, 5).labels
+        assert covered.any() == (index >= 3)  # twelve frames before the first mask
+        assert not covered[labels == 3].any()
+        assert covered.mean() < 0.5
+        if index in found_in:
+            assert covered[labels == 5].all()
+        elif index >= 13:
+            assert covered[labels == 5].mean() > 0.6
+
+
+def test_what_a_mask_misses_is_covered_if_masks_around_it_have_it(tmp_path: Path) -> None:
+    def found(index: int) -> Segmentation:
+        made_of = segmentation(0, 3)
+        labels = made_of.labels.copy()
+        if index == 20:
+            labels[13:] = 0
+        return replace(made_of, frame_index=index, labels=labels)
+
+    source = write_pictures(tmp_path / "yard")
+    run = write_run_over(tmp_path / "run", {"yard": source}, found)
+    stream = run / "yard"
+    footage = Footage.of(stream, str(source), parse_only(None), ALL, edits_of(stream), private=False)
+    whole = segmentation(0, 3).labels == 3
+    for shot, covered in covered_shots(footage, "test"):
+        if shot.frame.index == 20:
+            assert not shot.masks()[0][13:].any()
+        assert covered[whole].all()
+
+
+def test_progress_is_told_every_ten_seconds_with_the_time_left() -> None:
+    said: list[str] = []
+    times = iter(range(0, 1000, 4))
+    watch = Watch(said.append, lambda: next(times))
+    for doing in ("look", "blur.mp4"):
+        assert list(watch.told(range(5), doing, 5)) == list(range(5))
+    assert said == [
+        "look: 1 of 5 frames, 0:00:32 left",
+        "look: 4 of 5 frames, 0:00:05 left",
+        "blur.mp4: 1 of 5 frames, 0:00:32 left",
+        "blur.mp4: 4 of 5 frames, 0:00:05 left",
+    ]
+    # A pass may begin long after the last line, as its first frame took so long.
+    times = iter([0, 0, 11, 12])
+    list(Watch(said.append, lambda: next(times)).told(range(2), "look", 2))
+    assert said[-1] == "look: 0 of 2 frames"
+
+
+def test_clips_are_shown_as_they_are_unless_objects_are_asked_for(run: Path) -> None:
+    folder = made(run, "clips")
+    for words in (["--ids"], ["--labels", "--no-ids"]):
+        made(run, "clips", *words)
+    names = ["clips", "clips-labels", "clips-labels-no-ids"]
+    assert sorted(path.stem for path in folder.glob("*.mp4")) == names
+    plain, with_ids, without = (frames_of(folder / f"{name}.mp4")[20].to_ndarray() for name in names)
+    assert (plain != without).any()
+    assert (with_ids != without).any()
+
+
+def test_what_is_drawn_otherwise_has_a_name_of_its_own_and_the_place_may_follow_options(
+    run: Path, tmp_path: Path
+) -> None:
+    for words in ([], ["--no-ids"], ["--no-labels"]):
+        made(run, "sheet", *words)
+    assert sorted(path.name for path in (run / "yard/made").iterdir()) == [
+        "sheet-no-ids.jpg",
+        "sheet-no-labels.jpg",
+        "sheet.jpg",
+    ]
+    made(run, "sheet", "--stream", "yard", "--only", "3", str(tmp_path / "out"))
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["yard-sheet-3.jpg"]
+    made(run, "sheet", "--no-ids", str(tmp_path / "x.png"))
+    assert (tmp_path / "x.png").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "frames"), [(("10f", "20f"), 10), (("1.0", "2.0"), None), (("0:01", "35f"), None)]
 )
@@ -318,7 +466,7 @@ def test_a_gif_is_small_and_plays_as_long_as_its_part(run: Path) -> None:
 def test_a_sheet_has_twenty_frames_in_rows_of_four(run: Path) -> None:
     sheet = picture(made(run, "sheet") / "sheet.jpg")
     assert sheet.shape == (5 * (HEIGHT + 6) + 6, 4 * (WIDTH + 6) + 6, 3)
-    plain = picture(made(run, "sheet", "--no-labels", "--format", "png") / "sheet.png")
+    plain = picture(made(run, "sheet", "--no-labels", "--format", "png") / "sheet-no-labels.png")
     made(run, "sheet", str(run / "labelled.png"))
     assert (plain != picture(run / "labelled.png")).any()
 
@@ -490,13 +638,21 @@ def test_clips_of_which_no_part_can_be_read_again_are_not_made(
         (["blur", "--each"], "goes with cutout only"),
         (["blur", "--stream", "door"], "There is no stream 'door' in this run; there are yard."),
         (["melt"], "There is no kind 'melt'; there are overlay, remove"),
+        (["sheet", "--no-labels", "--ids"], "leave one of them out"),
+        (["blur", "--over", "a.mp4"], "--over goes with cutout only"),
+        (["cutout", "--each", "--over", "a.mp4"], "--over goes with cutout only, without --each"),
+        (["cutout", "--over", "/nowhere/beach.mp4"], "There is no file or folder /nowhere/beach.mp4"),
+        (["cutout", "--over", __file__], "Cannot open"),
+        (["cutout", "--over", "rtsp://bob:hunter2@cam/x"], "is a camera; record it first"),
     ],
 )
 def test_what_is_wrong_is_told_with_what_to_do(
     run: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str
 ) -> None:
     assert main([words[0], str(run), *words[1:]]) == 2
-    assert told in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert told in said
+    assert "hunter2" not in said
 
 
 def test_a_folder_without_a_run_and_a_camera_are_refused(
