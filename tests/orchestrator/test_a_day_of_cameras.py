@@ -151,7 +151,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
     """A small disk of its own, where that can be had; else a folder."""
     path = tmp_path / "disk"
     path.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", str(path)]
+    mount = ["mount", "-t", "tmpfs", "-o", "size=256m", "tmpfs", str(path)]
     is_mounted = (
         shutil.which("mount") and subprocess.run(mount, check=False, capture_output=True).returncode == 0
     )
