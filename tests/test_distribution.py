@@ -162,4 +162,4 @@ def test_the_container_is_built_and_run_as_the_documentation_says() -> None:
         assert f"\n{line}" in page
     extras = re.search(r"pip install .*\[(.*)\]", CONTAINER)
     assert extras is not None
-    assert f"'mlbs_actors-{__version__}-py3-none-any.whl[{extras[1]}]'" in page.replace("dist/", "")
+    assert f"`[{extras[1]}]`" in page

@@ -159,7 +159,7 @@ def test_a_camera_whose_mask_cannot_be_read_runs_with_the_one_before_or_none(tmp
     [
         ("keep: forever", "keep takes an age"),
         ("segment: week", "segment takes hour, day"),
-        ("set: {layers: 3}", "Cannot use set 'layers=3'"),
+        ("set: {layers: 3}", "'layers=3' sets no parameter"),
     ],
 )
 def test_a_fault_speaks_of_the_keys_of_the_file_not_of_flags(tmp_path: Path, entry: str, words: str) -> None:
