@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from mlbs_actors import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("mlbs_actors", "orchestrator")
