@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("mlbs_actors", "orchestrator")
 CONTAINER = (ROOT / "Containerfile").read_text(encoding="utf-8")
