@@ -23,7 +23,7 @@ from orchestrator.object_storage.address import StoreAddress
 from orchestrator.object_storage.ledger import read_standing
 from orchestrator.object_storage.store import ObjectStore, open_store
 
-FRAMES = 240
+FRAMES = 2400
 SOURCE = f"synthetic:street?frames={FRAMES}&width=160&height=120"
 SECRET = "s3cr3t-of-the-store"
 
