@@ -173,9 +173,9 @@ def _keys_at(model: type[BaseModel], place: Sequence[int | str]) -> list[str]:
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for part in get_args(annotation) for model in _models_in(part)]
+    if parts := get_args(annotation):  # asked first: Python 3.10 takes tuple[…] for a class
+        return [model for part in parts for model in _models_in(part)]
+    return [annotation] if isinstance(annotation, type) and issubclass(annotation, BaseModel) else []
 
 
 def _refuse_twice(path: Path, flag: str, node: yaml.Node, seen: set[int]) -> None:
