@@ -14,13 +14,11 @@ import cv2
 import numpy as np
 
 from mlbs_actors.messages import Array
-from orchestrator.make.masks_around import small_mask
+from orchestrator.make.masks import small_mask, widened
 from orchestrator.make.plate import CoveredFrame, fill_background
 
-__all__ = ["COMPLETED_WIDTH", "KnownObjects", "completed_masks"]
+__all__ = ["KnownObjects", "completed_masks"]
 
-#: Width at which masks are completed, px, at most.
-COMPLETED_WIDTH = 320
 #: Of the picture's width: how far from a mask the rest of it is looked for.
 _REACH = 1 / 20
 #: What differs from the background by more belongs to what covers it, grey levels, at least …
@@ -41,7 +39,7 @@ class KnownObjects:
     covered : (H, W) bool
         Their masks.
     around : (h, w) bool
-        Where they are in the frames around it, at :data:`COMPLETED_WIDTH`.
+        Where they are in the frames around it, at :data:`~orchestrator.make.masks.SMALL_WIDTH`.
     """
 
     frame: Array
@@ -60,23 +58,24 @@ def completed_masks(frames: Callable[[], Iterable[KnownObjects]]) -> Iterator[Ar
     Yields
     ------
     (h, w) bool
-        The mask of each frame, in order, at :data:`COMPLETED_WIDTH`.
+        The mask of each frame, in order, at :data:`~orchestrator.make.masks.SMALL_WIDTH`.
     """
 
     def small() -> Iterator[KnownObjects]:
         for known in frames():
             frame = cv2.resize(known.frame, known.around.shape[::-1], interpolation=cv2.INTER_AREA)
-            covered = small_mask(known.covered, COMPLETED_WIDTH)
+            covered = small_mask(known.covered)
             yield KnownObjects(frame, covered, known.around | covered)
 
     def looked_at() -> Iterator[CoveredFrame]:
-        for known in small():
-            reach = max(1, round(_REACH * known.around.shape[1]))
-            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-            yield known.frame, cv2.dilate(known.around.astype(np.uint8), disc) > 0
+        return ((known.frame, _near(known)) for known in small())
 
-    for known, (_, near), plate in zip(small(), looked_at(), fill_background(looked_at), strict=True):
-        yield _completed(known, plate.picture, near & ~plate.never_seen)
+    for known, plate in zip(small(), fill_background(looked_at), strict=True):
+        yield _completed(known, plate.picture, _near(known) & ~plate.never_seen)
+
+
+def _near(known: KnownObjects) -> Array:
+    return widened(known.around, max(1, round(_REACH * known.around.shape[1])))
 
 
 def _completed(known: KnownObjects, background: Array, seen: Array) -> Array:

@@ -15,8 +15,9 @@ import numpy as np
 
 from mlbs_actors.messages import BACKGROUND, Array
 from mlbs_actors.record.recorded_stream import RecordedFrame
+from orchestrator.make.masks import small_mask
 
-__all__ = ["AROUND", "masks_around", "small_mask"]
+__all__ = ["AROUND", "mask_at", "masks_around"]
 
 #: Frames before and after one whose masks are joined: an object is found about so long after its start.
 AROUND = 12
@@ -65,12 +66,9 @@ def masks_around(frames: Iterable[RecordedFrame], width: int) -> Iterator[tuple[
             window.popleft()
 
 
-def small_mask(covered: Array, width: int) -> Array:
-    """Make a mask (H, W) bool no wider than so many px."""
-    scale = min(1.0, width / covered.shape[1])
-    size = tuple(max(1, round(side * scale)) for side in covered.shape[::-1])
-    small: Array = cv2.resize(covered * np.uint8(255), size, interpolation=cv2.INTER_AREA) >= 128
-    return small
+def mask_at(index: int, masks: Iterator[tuple[int, Array]]) -> Array:
+    """Take the mask of a frame; those of frames before it, which could not be read again, are passed over."""
+    return next(mask for other, mask in masks if other == index)
 
 
 def _mask_of(frame: RecordedFrame, width: int) -> _Mask:

@@ -10,18 +10,14 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
-import cv2
-import numpy as np
-
 from mlbs_actors.messages import Array
 from mlbs_actors.record.recorded_stream import RecordedFrame
 from orchestrator.make.footage import Footage, Shot
-from orchestrator.make.masks_around import AROUND, masks_around, small_mask
+from orchestrator.make.masks import SMALL_WIDTH, packed, small_mask, unpacked, whole_mask, widened
+from orchestrator.make.masks_around import AROUND, mask_at, masks_around
 
 __all__ = ["covered_shots"]
 
-#: Width of the masks that are joined, px, at most.
-_WIDTH = 320
 #: Of the picture's width: how far from an object's mask the joined masks count.
 _REACH = 1 / 25
 
@@ -44,19 +40,16 @@ def covered_shots(footage: Footage, doing: str) -> Iterator[tuple[Shot, Array]]:
         Nothing of other objects.
     """
     changing = _changing(footage.recorded())
-    joined = masks_around(footage.recorded(), _WIDTH)
+    joined = masks_around(footage.recorded(), SMALL_WIDTH)
     for shot in footage.shots(doing):
-        around = next(mask for index, mask in joined if index == shot.frame.index)
+        around = mask_at(shot.frame.index, joined)
         chosen, others = shot.masks()
-        known = small_mask(chosen, _WIDTH)
+        known = small_mask(chosen)
         if (written := changing.get(shot.frame.index)) is not None:
-            known |= _read(written)
-        reach = max(1, round(_REACH * known.shape[1]))
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-        near = cv2.dilate(known.view(np.uint8), disc).view(np.bool_)
-        missed = ((around & near) | known).astype(np.uint8) * np.uint8(255)
-        whole = cv2.resize(missed, chosen.shape[::-1], interpolation=cv2.INTER_LINEAR) >= 128
-        yield shot, (whole | chosen) & ~others
+            known |= unpacked(written)
+        near = widened(known, max(1, round(_REACH * known.shape[1])))
+        missed = whole_mask((around & near) | known, chosen.shape)
+        yield shot, (missed | chosen) & ~others
 
 
 @dataclass(slots=True)
@@ -98,18 +91,12 @@ def _changing(frames: Iterable[RecordedFrame]) -> dict[int, bytes]:
 def _add(found: dict[int, bytes], change: _Change) -> None:
     alone = [_alone(frame, change.layer) for frame in change.frames]
     counted = {frame.index for frame in alone if change.comes or not frame.objects}
-    for index, mask in masks_around(alone, _WIDTH):
+    for index, mask in masks_around(alone, SMALL_WIDTH):
         if index in counted:
-            known = _read(found[index]) if index in found else False
-            found[index] = cv2.imencode(".png", (mask | known) * np.uint8(255))[1].tobytes()
+            known = unpacked(found[index]) if index in found else False
+            found[index] = packed(mask | known)
 
 
 def _alone(frame: RecordedFrame, layer: int) -> RecordedFrame:
     pairs = [pair for pair in zip(frame.objects, frame.codes, strict=True) if pair[0].layer == layer]
     return replace(frame, objects=tuple(one for one, _ in pairs), codes=tuple(code for _, code in pairs))
-
-
-def _read(written: bytes) -> Array:
-    mask = cv2.imdecode(np.frombuffer(written, np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert mask is not None  # it was written here
-    return np.asarray(mask > 0)

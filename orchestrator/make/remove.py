@@ -11,9 +11,10 @@ import numpy as np
 
 from mlbs_actors.errors import ConfigError, FrameError
 from mlbs_actors.messages import Array
-from orchestrator.make.completed_masks import COMPLETED_WIDTH, KnownObjects, completed_masks
+from orchestrator.make.completed_masks import KnownObjects, completed_masks
 from orchestrator.make.footage import Footage, Shot
-from orchestrator.make.masks_around import masks_around
+from orchestrator.make.masks import SMALL_WIDTH, packed, unpacked, whole_mask, widened
+from orchestrator.make.masks_around import mask_at, masks_around
 from orchestrator.make.plate import MARGIN, BackgroundFrame, CoveredFrame, fill_background
 from orchestrator.make.video_file import VideoFile
 
@@ -80,50 +81,32 @@ class _Removal:
         looks = count(1)
 
         def frames() -> Iterator[KnownObjects]:
-            around = masks_around(self._footage.whole(), COMPLETED_WIDTH)
-            # The first two are read beside the others, the third alone and to its end before any mask comes.
-            for shot in self._footage.shots(f"{doing}, first look" if next(looks) == 3 else None):
+            around = masks_around(self._footage.whole(), SMALL_WIDTH)
+            # The first is read beside the others, the second alone and to its end before any mask comes.
+            for shot in self._footage.shots(f"{doing}, first look" if next(looks) == 2 else None):
                 chosen, others = shot.masks()
-                yield KnownObjects(shot.picture, chosen | others, _of(shot, around))
+                yield KnownObjects(shot.picture, chosen | others, mask_at(shot.frame.index, around))
 
         masks = completed_masks(frames)
         first = next(masks)  # after the first look, as only one progress can be shown at once
         shots = self._footage.shots(f"{doing}, second look")
-        around = masks_around(self._footage.recorded(), COMPLETED_WIDTH)
+        around = masks_around(self._footage.recorded(), SMALL_WIDTH)
         for shot, mask in zip(shots, chain([first], masks), strict=True):
-            self._completed[shot.frame.index] = _written(mask)
-            self._chosen[shot.frame.index] = _written(_of(shot, around))
+            self._completed[shot.frame.index] = packed(mask)
+            self._chosen[shot.frame.index] = packed(mask_at(shot.frame.index, around))
 
     def covered(self, shot: Shot) -> Array:
         """Return where objects cover the background, (H, W) bool, those that stay included."""
         chosen, others = shot.masks()
-        return chosen | others | _read(self._completed[shot.frame.index], chosen.shape)
+        return chosen | others | whole_mask(unpacked(self._completed[shot.frame.index]), chosen.shape)
 
     def area(self, shot: Shot) -> Array:
         """Return what is replaced: the chosen objects and the plate's margin, without others, (H, W) bool."""
         chosen, others = shot.masks()
         _, parts = cv2.connectedComponents((self.covered(shot) & ~others).view(np.uint8))
-        chosen = chosen | _read(self._chosen[shot.frame.index], chosen.shape)
+        chosen = chosen | whole_mask(unpacked(self._chosen[shot.frame.index]), chosen.shape)
         whole = np.isin(parts, np.setdiff1d(parts[chosen], 0))
-        margin = round(MARGIN * chosen.shape[1]) + 1
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
-        return np.asarray(cv2.dilate(whole.view(np.uint8), disc)).view(np.bool_) & ~others
-
-
-def _of(shot: Shot, masks: Iterator[tuple[int, Array]]) -> Array:
-    """Return a frame's mask; masks of frames before it that could not be read again are passed over."""
-    return next(mask for index, mask in masks if index == shot.frame.index)
-
-
-def _written(mask: Array) -> bytes:
-    return cv2.imencode(".png", mask * np.uint8(255))[1].tobytes()
-
-
-def _read(written: bytes, shape: tuple[int, ...]) -> Array:
-    """Read a mask at another size."""
-    small = cv2.imdecode(np.frombuffer(written, np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert small is not None  # it was written here
-    return np.asarray(cv2.resize(small, shape[::-1], interpolation=cv2.INTER_LINEAR) >= 128)
+        return widened(whole, round(MARGIN * chosen.shape[1]) + 1) & ~others
 
 
 def _plates(footage: Footage, removal: _Removal, doing: str) -> Iterator[tuple[Shot, BackgroundFrame]]:
