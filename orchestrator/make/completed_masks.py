@@ -84,8 +84,9 @@ def _completed(known: KnownObjects, background: Array, seen: Array) -> Array:
     difference = cv2.absdiff(*smooth).max(axis=2)
     beside = seen & ~known.around
     usual = float(np.percentile(difference[beside], 75)) if beside.any() else np.inf
-    differs = (seen & (difference > max(_DIFFERENT, _USUAL * usual))).astype(np.uint8)
+    differs: Array = (seen & (difference > max(_DIFFERENT, _USUAL * usual))).astype(np.uint8)
     differs = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) | known.covered
     differs = cv2.morphologyEx(differs, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     _, parts = cv2.connectedComponents(differs)
-    return (differs > 0) & np.isin(parts, np.setdiff1d(parts[known.around], 0))
+    completed: Array = (differs > 0) & np.isin(parts, np.setdiff1d(parts[known.around], 0))
+    return completed
