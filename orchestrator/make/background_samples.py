@@ -13,7 +13,7 @@ from orchestrator.make.background_motion import continued, drift, in_picture, lo
 from orchestrator.make.holes import Hole
 from orchestrator.make.source_frames import BESIDE, Source
 
-__all__ = ["Sample", "agreed", "at_points", "corrected", "sampled"]
+__all__ = ["Background", "Sample", "agreed", "at_points", "corrected", "sampled"]
 
 #: Grey levels by which a source that is placed well misses the frame.
 NOISE = 6.0
@@ -38,10 +38,30 @@ class Sample:
         BGR, in the frame's light.
     weight : (n,) float32
         0 where it shows nothing.
+    clear : (n,) bool
+        Where what it shows is not right beside what covers it.
     """
 
     colours: Array
     weight: Array
+    clear: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Background:
+    """What samples say of a hole together.
+
+    Attributes
+    ----------
+    colours : (n, 3) float32
+        BGR.
+    seen, clear : (n,) bool
+        Where any sample shows it, and where one does clearly.
+    """
+
+    colours: Array
+    seen: Array
+    clear: Array
 
 
 def corrected(hole: Hole, source: Source, there: Array) -> Array:
@@ -94,7 +114,8 @@ def sampled(hole: Hole, source: Source, there: Array, nearness: float) -> Sample
     seen = at_points(source.picture, pixels, cv2.INTER_CUBIC).astype(np.float32) * gain
     trust = np.where(at[:, 2] < MISFIT, 1.0 / (1.0 + (at[:, 2] / NOISE) ** 2) ** 2, 0)
     weight = np.where(clear > BESIDE, SUSPECT + clear, BARELY) * trust * nearness
-    return Sample(seen, np.where(clear > 0, weight, 0).astype(np.float32))
+    weight = np.where(clear > 0, weight, 0).astype(np.float32)
+    return Sample(seen, weight, (clear > BESIDE) & (weight > 0))
 
 
 def at_points(
@@ -117,7 +138,7 @@ def _gain(target: Array, seen: Array) -> Array:
     return np.clip(ratio, *GAIN).astype(np.float32)
 
 
-def agreed(samples: Sequence[Sample], number: int) -> tuple[Array, Array]:
+def agreed(samples: Sequence[Sample], number: int) -> Background:
     """Combine samples of so many pixels: the mean of those near their median, where there are any.
 
     Parameters
@@ -127,11 +148,11 @@ def agreed(samples: Sequence[Sample], number: int) -> tuple[Array, Array]:
 
     Returns
     -------
-    (n, 3) float32
-    (n,) bool
+    Background
     """
     if not samples:
-        return np.zeros((number, 3), np.float32), np.zeros(number, np.bool_)
+        nothing = np.zeros(number, np.bool_)
+        return Background(np.zeros((number, 3), np.float32), nothing, nothing)
     colours = np.stack([one.colours for one in samples])
     weights = np.stack([one.weight for one in samples])
     total = weights.sum(axis=0)
@@ -143,4 +164,5 @@ def agreed(samples: Sequence[Sample], number: int) -> tuple[Array, Array]:
     whole = share.sum(axis=0)
     mean = (colours * share[..., None]).sum(axis=0) / np.maximum(whole, 1e-20)[:, None]
     agreed = np.where((whole > 1e-20)[:, None], mean, middle)
-    return np.clip(agreed, 0, 255).astype(np.float32), total > 0
+    clear = np.any([one.clear for one in samples], axis=0)
+    return Background(np.clip(agreed, 0, 255).astype(np.float32), total > 0, clear)

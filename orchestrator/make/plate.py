@@ -175,18 +175,22 @@ def _filled(
         return BackgroundFrame(frame.copy(), never)
     hidden = _widened(covered, MARGIN)
     picture, gap = frame.copy(), np.zeros(covered.shape, np.uint8)
+    doubtful = gap.copy()
     for hole in holes_of(frame, hidden, CONTEXT):
-        colours, seen = agreed(_samples(index, hole, clip), len(hole.inside))
-        never.flat[hole.inside] = ~seen
-        made = seen.copy()
-        if before is not None and not seen.all():
-            colours[~seen], made[~seen] = _carried(index, hole, clip.motion, before, ~seen)
+        found = agreed(_samples(index, hole, clip), len(hole.inside))
+        colours, made = found.colours, found.seen.copy()
+        if before is not None and not made.all():
+            colours[~found.seen], made[~found.seen] = _carried(index, hole, clip.motion, before, ~found.seen)
         picture.reshape(-1, 3)[hole.inside] = np.round(colours)
+        never.flat[hole.inside] = ~found.seen
         gap.flat[hole.inside] = ~made
+        doubtful.flat[hole.inside] = ~found.clear
     if gap.all():
         picture[:] = np.round(frame.mean(axis=(0, 1)))
     elif gap.any():
-        picture = cv2.inpaint(picture, gap, INPAINT_PX, cv2.INPAINT_TELEA)
+        # An object's edge would spread over the gap behind it.
+        painted = cv2.inpaint(picture, gap | doubtful, INPAINT_PX, cv2.INPAINT_TELEA)
+        picture[gap > 0] = painted[gap > 0]
     inside = hidden > 0
     away = cv2.distanceTransform(1 - covered.astype(np.uint8), cv2.DIST_L2, 3)[inside]
     share = np.clip(1.0 - away / (MARGIN * frame.shape[1] + 1), 0.0, 1.0)[:, None]
@@ -204,7 +208,9 @@ def _samples(index: int, hole: Hole, clip: _Clip) -> list[Sample]:
     unseen = np.all([one.weight == 0 for one in samples], axis=0)
     if unseen.any():
         others = _moved_samples(index, hole, clip.motion, left)
-        samples += [Sample(one.colours, np.where(unseen, one.weight, 0)) for one in others]
+        samples += [
+            Sample(one.colours, np.where(unseen, one.weight, 0), one.clear & unseen) for one in others
+        ]
     return samples
 
 

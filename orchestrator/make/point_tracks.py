@@ -20,7 +20,7 @@ BACK_PX = 0.5
 #: Nearer to what covers the background, and to the picture's edge, no point is followed, px.
 CLEAR_PX = 4
 #: Side of the square by which a point is known, px.
-WINDOW = 13
+WINDOW = 7
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from orchestrator.make.scene_geometry import RigidScene, solved
 __all__ = ["ScenesOfClip"]
 
 #: Frames that share a scene, and frames before and after them from which it is known.
-PART, AROUND = 24, 36
+PART, AROUND = 24, 48
 #: With fewer steps that no homography describes there is no depth to be found.
 LEAST_BENDS = 4
 

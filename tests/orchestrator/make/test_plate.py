@@ -131,6 +131,16 @@ def test_what_no_frame_shows_is_marked_and_stays_the_same() -> None:
     assert np.abs(first - last).max() <= 2
 
 
+def test_the_edge_of_an_object_does_not_spread_over_what_no_frame_shows() -> None:
+    shown, covered = np.zeros((2, 160, 160), np.bool_)
+    covered[60:101, 60:101] = True
+    shown[59:102, 59:102] = True  # the mask is a pixel too narrow on each side
+    frames = [np.where(shown[..., None], np.uint8(255), frame) for frame in still(4, 160)]
+    for one in filled([(frame, covered) for frame in frames]):
+        inner = one.picture[64:97, 64:97].astype(int)
+        assert inner.max() <= 200  # as bright as the ground is anywhere
+
+
 def test_an_object_that_a_few_masks_miss_leaves_no_ghost() -> None:
     frames: list[CoveredFrame] = []
     grounds = list(still(16))

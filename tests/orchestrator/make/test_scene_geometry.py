@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import cv2
 import numpy as np
 import pytest
 
 from mlbs_actors.messages import Array
-from orchestrator.make.depth_sweep import plane_of
 from orchestrator.make.holes import holes_of
+from orchestrator.make.planes import depth_at, planes_of
 from orchestrator.make.point_tracks import Observations
 from orchestrator.make.scene_geometry import solved
 
@@ -85,14 +87,35 @@ def test_too_few_points_have_no_scene() -> None:
     assert solved(observed(points, cameras), SIZE, lambda a, b: np.eye(3)) is None
 
 
-def test_the_plane_of_most_points_is_found_among_others() -> None:
+def test_planes_are_found_among_other_points_those_with_most_points_first() -> None:
     rng = np.random.default_rng(5)
-    at = rng.uniform(0, 300, (200, 2))
-    plane = np.array([1e-4, 2e-3, 0.1])
-    inverse = at @ plane[:2] + plane[2]
-    inverse[::4] = rng.uniform(0, 3, 50)
-    found = plane_of(at, inverse)
-    assert np.abs(at[1::4] @ found[:2] + found[2] - inverse[1::4]).max() < 1e-3
+    truth = np.array([[1e-4, 2e-3, 0.1], [0.0, 0.0, 0.9], [3e-3, 0.0, 0.05]])
+    at = np.vstack(
+        [rng.uniform(0, 300, (120, 2)), rng.uniform(100, 160, (60, 2)), rng.uniform(200, 240, (30, 2))]
+    )
+    inverse = np.repeat(truth, (120, 60, 30), axis=0)
+    inverse = (inverse[:, :2] * at).sum(axis=1) + inverse[:, 2] + rng.normal(0, 1e-3, 210)
+    at, inverse = np.vstack([at, rng.uniform(0, 300, (40, 2))]), np.append(inverse, rng.uniform(2, 5, 40))
+    found = planes_of(at, inverse, np.full(250, 3e-3))
+    assert len(found) >= 3
+    corners = np.array([[100.0, 100.0], [160.0, 100.0], [200.0, 240.0], [240.0, 200.0]])
+    for one, plane in zip(found, truth, strict=False):
+        assert np.abs(depth_at(one, corners) - depth_at(plane, corners)).max() < 5e-3
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_plane_has_about_as_many_points_as_the_best_through_any_three(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    at, inverse = rng.uniform(0, 100, (24, 2)), rng.uniform(0, 1, 24)
+    inverse[:14] = at[:14] @ (1e-3, -2e-3) + 0.5 + rng.normal(0, 2e-3, 14)
+    rows = np.column_stack([at, np.ones(24)])
+
+    def points_on(plane: Array) -> int:
+        return int((np.abs(rows @ plane - inverse) < 0.01).sum())
+
+    triples = [list(three) for three in combinations(range(24), 3)]
+    most = max(points_on(np.linalg.solve(rows[three], inverse[three])) for three in triples)
+    assert points_on(planes_of(at, inverse, np.full(24, 5e-3))[0]) >= most - 1
 
 
 @pytest.mark.parametrize(("apart", "number"), [(120, 2), (20, 1)])
