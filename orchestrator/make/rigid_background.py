@@ -9,7 +9,7 @@ import numpy as np
 
 from mlbs_actors.messages import Array
 from orchestrator.make.background_motion import CELL, continued, to_pixels
-from orchestrator.make.background_samples import Sample, at_points, corrected, sampled
+from orchestrator.make.background_samples import Sample, at_points, sampled
 from orchestrator.make.depth_sweep import swept
 from orchestrator.make.holes import Hole
 from orchestrator.make.scene_geometry import RigidScene
@@ -78,7 +78,6 @@ def samples_in_scene(index: int, hole: Hole, scene: RigidScene, sources: Sequenc
         for one in more:
             del usable[one.index]
             there = relations[one.index].places(hole.pixels(), whole)
-            there = corrected(hole, one, there)
             samples.append(sampled(hole, one, there, nearness[one.index]))
             unseen &= samples[-1].weight == 0
     return samples
