@@ -23,7 +23,10 @@ def make_asked(given: argparse.Namespace) -> int:
     try:
         kinds = list(dict.fromkeys(given.kind.split(",")))
         if unknown := [kind for kind in kinds if kind not in KINDS]:
-            raise ConfigError(f"There is no kind {unknown[0]!r}; there are {', '.join(KINDS)}.")
+            raise ConfigError(
+                f"There is no kind {unknown[0]!r}; there are {', '.join(KINDS)}. For tables and other "
+                "formats see export --help."
+            )
         for path in make([_request(given, kind) for kind in kinds], partial(print, file=sys.stderr)):
             print(path)
     except ConfigError as error:

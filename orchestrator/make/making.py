@@ -12,7 +12,9 @@ from pathlib import Path
 import av.error
 
 from mlbs_actors.errors import ConfigError
+from mlbs_actors.record.edits import EDITS
 from mlbs_actors.record.recorded_stream import description_of, edits_of, streams_of
+from mlbs_actors.wording import count_of
 from orchestrator.export.made_folder import is_made, mark_made
 from orchestrator.make.choice import EVERYTHING, Choice
 from orchestrator.make.footage import Footage
@@ -159,6 +161,9 @@ def _made_of_streams(task: _Task, say: Callable[[str], None]) -> Iterator[Path]:
         except ConfigError as error:
             faults.append(str(error))
             continue
+        if edits.edits:
+            corrections = count_of(len(edits.edits), "correction")
+            say(f"{path.name}: with {corrections} of {request.edits or folder / EDITS}.")
         for remark in remarks:
             say(remark)
         made += 1

@@ -4,7 +4,7 @@ Read in this order: here, how a plate is put together; ``camera_path`` and ``bac
 background of one frame lies in the others), ``holes``, ``source_frames`` (which frames a hole's background is
 taken from), ``background_samples`` (what they show of it). Where a camera moves through a scene with depth,
 ``rigid_background`` knows better, by ``point_tracks``, ``scene_geometry`` with ``bundle_adjustment``,
-``scenes_of_clip`` and ``depth_sweep``.
+``scenes_of_clip`` and ``depth_sweep`` with ``planes``.
 """
 
 from __future__ import annotations

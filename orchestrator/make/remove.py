@@ -83,13 +83,13 @@ class _Removal:
         def frames() -> Iterator[KnownObjects]:
             around = masks_around(self._footage.whole(), SMALL_WIDTH)
             # The first is read beside the others, the second alone and to its end before any mask comes.
-            for shot in self._footage.shots(f"{doing}, first look" if next(looks) == 2 else None):
+            for shot in self._footage.shots(f"{doing}, part 1 of 4" if next(looks) == 2 else None):
                 chosen, others = shot.masks()
                 yield KnownObjects(shot.picture, chosen | others, mask_at(shot.frame.index, around))
 
         masks = completed_masks(frames)
         first = next(masks)  # after the first look, as only one progress can be shown at once
-        shots = self._footage.shots(f"{doing}, second look")
+        shots = self._footage.shots(f"{doing}, part 2 of 4")
         around = masks_around(self._footage.recorded(), SMALL_WIDTH)
         for shot, mask in zip(shots, chain([first], masks), strict=True):
             self._completed[shot.frame.index] = packed(mask)
@@ -115,13 +115,13 @@ def _plates(footage: Footage, removal: _Removal, doing: str) -> Iterator[tuple[S
 
     def frames() -> Iterator[CoveredFrame]:
         nonlocal looked
-        words, looked = None if looked else f"{doing}, third look", True
+        words, looked = None if looked else f"{doing}, part 3 of 4", True
         for shot in footage.shots(words):
             yield shot.picture, removal.covered(shot)
 
     plates = fill_background(frames)
     first = next(plates)  # after the third look, as only one progress can be shown at once
-    yield from zip(footage.shots(doing), chain([first], plates), strict=True)
+    yield from zip(footage.shots(f"{doing}, part 4 of 4"), chain([first], plates), strict=True)
 
 
 def _removed(shot: Shot, plate: BackgroundFrame, area: Array) -> Array:

@@ -277,6 +277,12 @@ def test_the_sound_of_a_private_run_is_left_out_and_its_pictures_hide_what_moves
         assert not container.streams.audio
 
 
+def test_what_is_made_with_corrections_says_so(sounding: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (sounding / "a/edits.csv").write_text("drop,5\n")
+    made(sounding, "overlay")
+    assert f"overlay.mp4: with 1 correction of {sounding / 'a/edits.csv'}." in capsys.readouterr().err
+
+
 def test_a_removed_object_shows_the_ground_behind_it_and_the_others_stay(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
