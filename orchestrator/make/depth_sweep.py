@@ -42,7 +42,8 @@ UNKNOWN = 12.0
 #: What a plane costs at most that is far from all points known, grey levels, and at which share of the votes
 #: of the plane with most of them it costs nothing.
 FAR, ENOUGH = 24.0, 0.5
-#: What the farthest place costs more than the nearest: what agrees equally well is hidden by what is nearer.
+#: What the farthest place costs more than the nearest: what agrees equally well is hidden by what is nearer,
+#: grey levels.
 HIDDEN = 6.0
 #: What a plane of the sweep costs more than one on which points lie, grey levels.
 SWEPT = 3.0
@@ -102,7 +103,7 @@ def swept(
     grid[:2, 2] += (region.x, region.y)
     pictures = [np.dstack([one.sketch.gray, one.sketch.free * np.uint8(255)]) for one in sources]
     own = _shown(gray, free)
-    usual = planes.all[planes.swept]
+    usual = planes.all[planes.swept]  # on which most points lie
     lights = [
         _light(own, _shown(*cv2.split(_laid(picture, relation.of_plane(usual) @ grid, size))))
         for picture, relation in zip(pictures, relations, strict=True)

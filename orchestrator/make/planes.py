@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from mlbs_actors.messages import Array
 
-__all__ = ["depth_at", "planes_of"]
+__all__ = ["LEAST_POINTS", "depth_at", "planes_of"]
 
 #: Planes looked for, at most, and points that one must have.
 PLANES, LEAST_POINTS = 12, 12
@@ -29,7 +29,7 @@ def planes_of(at: Array, inverse: Array, tolerance: Array) -> Array:
     Parameters
     ----------
     at : (n, 2) float64
-        In the picture; at least three.
+        In the picture; at least :data:`LEAST_POINTS`.
     inverse : (n,) float64
         Their inverse depths.
     tolerance : (n,) float64

@@ -88,7 +88,7 @@ class _Removal:
                 yield KnownObjects(shot.picture, chosen | others, mask_at(shot.frame.index, around))
 
         masks = completed_masks(frames)
-        first = next(masks)  # after the first look, as only one progress can be shown at once
+        first = next(masks)  # after part 1, as only one progress can be shown at once
         shots = self._footage.shots(f"{doing}, part 2 of 4")
         around = masks_around(self._footage.recorded(), SMALL_WIDTH)
         for shot, mask in zip(shots, chain([first], masks), strict=True):
@@ -120,7 +120,7 @@ def _plates(footage: Footage, removal: _Removal, doing: str) -> Iterator[tuple[S
             yield shot.picture, removal.covered(shot)
 
     plates = fill_background(frames)
-    first = next(plates)  # after the third look, as only one progress can be shown at once
+    first = next(plates)  # after part 3, as only one progress can be shown at once
     yield from zip(footage.shots(f"{doing}, part 4 of 4"), chain([first], plates), strict=True)
 
 

@@ -12,13 +12,14 @@ from orchestrator.make.background_motion import CELL, continued, to_pixels
 from orchestrator.make.background_samples import Sample, at_points, sampled
 from orchestrator.make.depth_sweep import swept
 from orchestrator.make.holes import Hole
+from orchestrator.make.planes import LEAST_POINTS
 from orchestrator.make.scene_geometry import RigidScene
 from orchestrator.make.source_frames import Source, chosen_sources
 
 __all__ = ["samples_in_scene"]
 
-#: Points further from a hole's region say nothing of it, px of the sketch; fewer than these say too little.
-NEAR_PX, LEAST_POINTS = 24, 12
+#: Points further from a hole's region say nothing of it, px of the sketch.
+NEAR_PX = 24
 #: Pixels of a hole by which its sources are chosen, at most.
 LOOKED_AT = 1500
 #: Samples of a hole, at which no more are taken for what those before do not show.
